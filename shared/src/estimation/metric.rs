@@ -1,0 +1,189 @@
+//! The metric constraint: the load's magnitude never changes (eq. 13, design § 3.3).
+//!
+//! In whitened coordinates x = Λ^-½ V*ᵀ(z − z̄) the motion lies on an ellipsoid xᵀQx + gᵀx = 1 with free centre. The
+//! paper solves its equation 13 for Q by least squares; squares of noisy coordinates then carry the noise variance with
+//! them and bias the answer by about −3.3(σ/F)². Here the moments are **adjusted** first (Kukush, Markovsky, Van Huffel:
+//! *Consistent estimation in an implicit quadratic measurement error model*): with noise variance νₐ in coordinate a,
+//!
+//! ```text
+//! E[xₐx_b]       is replaced by E[xₐx_b] − δ_ab νₐ
+//! E[xₐx_bx_c]    stays, about the mean
+//! E[xₐx_bx_cx_d] is replaced by E[…] − Σ₆ δ_ab νₐ E[x_cx_d] + Σ₃ δ_ab νₐ δ_cd ν_c
+//! ```
+//!
+//! (sums over the ways to pair the indices), which are unbiased for the moments of the noise-free motion. With ν = 0
+//! this is the paper's least squares with a free centre.
+
+use nalgebra::{Cholesky, SMatrix, SVector};
+
+use super::eigen::symmetric_eigen;
+use super::projection::MotionMoments;
+use crate::refusal::Refusal;
+
+/// Unknowns at rank 3: six elements of Q and three of g. At rank 2 (3 + 2) the rest of the system is the identity.
+const UNKNOWNS: usize = 9;
+
+/// The largest relative standard deviation of a principal value of Q that counts as determined by the motion.
+///
+/// A gain's relative standard deviation is half of this: a motion that cannot fix a gain within 5 % is refused.
+const LARGEST_RELATIVE_UNCERTAINTY: f64 = 0.1;
+
+/// The least eigenvalue of the normal matrix that is not rounding: whitened coordinates are of order one, and the
+/// moments of degree four carry relative errors up to 10⁻⁶.
+const LEAST_NORMAL_EIGENVALUE: f64 = 1e-5;
+
+/// The ellipsoid (x − c)ᵀ M (x − c) = 1 of the motion in whitened coordinates.
+#[derive(Clone, Debug)]
+pub struct Metric<const RANK: usize> {
+    /// M (r × r, positive definite): MᵀM-shaped like the paper's A⁻ᵀA⁻¹.
+    pub matrix: SMatrix<f64, RANK, RANK>,
+    /// The centre c.
+    pub centre: SVector<f64, RANK>,
+}
+
+/// Solves the metric constraint from central moments of the whitened motion.
+///
+/// `noise` is the variance of the noise in each whitened coordinate; zero where it is not known.
+///
+/// # Errors
+///
+/// [`Refusal::NonFinite`]; [`Refusal::MotionDoesNotSpan`] where the directions of the load do not determine every
+/// coefficient; [`Refusal::MetricNotPositiveDefinite`] where the surface is no ellipsoid.
+pub fn metric<const RANK: usize>(
+    moments: &MotionMoments<RANK>,
+    noise: &SVector<f64, RANK>,
+    samples: u64,
+) -> Result<Metric<RANK>, Refusal> {
+    let (normal, right) = normal_equations(moments, noise);
+    let eigen = symmetric_eigen(&normal)?;
+    if eigen.values.min() < LEAST_NORMAL_EIGENVALUE {
+        return Err(does_not_span(f64::INFINITY));
+    }
+    let factor = Cholesky::new(normal).ok_or_else(|| does_not_span(f64::INFINITY))?;
+    let solution = factor.solve(&right);
+
+    let quadratic = SMatrix::from_fn(|a, b| {
+        let element = solution[quadratic_position::<RANK>(a, b)];
+        if a == b { element } else { element / 2.0 }
+    });
+    let linear = SVector::from_fn(|a, _| solution[linear_position::<RANK>(a)]);
+
+    let residual_variance = (1.0 - solution.dot(&right)).max(0.0);
+    let covariance = factor.inverse() * (residual_variance / samples.max(1) as f64);
+    require_determined::<RANK>(&quadratic, &covariance)?;
+
+    let quadratic_factor = Cholesky::new(quadratic).ok_or(Refusal::MetricNotPositiveDefinite)?;
+    let centre = quadratic_factor.solve(&linear) * -0.5;
+    // xᵀQx + gᵀx = 1 about its centre: (x − c)ᵀQ(x − c) = 1 + cᵀQc.
+    let level = 1.0 + centre.dot(&(quadratic * centre));
+    Ok(Metric { matrix: quadratic / level, centre })
+}
+
+/// Every principal value of Q must stand clear of its own uncertainty; a negative one that does is no ellipsoid.
+fn require_determined<const RANK: usize>(
+    quadratic: &SMatrix<f64, RANK, RANK>,
+    covariance: &SMatrix<f64, UNKNOWNS, UNKNOWNS>,
+) -> Result<(), Refusal> {
+    let principal = symmetric_eigen(quadratic)?;
+    for k in 0..RANK {
+        let direction = principal.vectors.column(k);
+        let mut gradient = SVector::<f64, UNKNOWNS>::zeros();
+        for a in 0..RANK {
+            for b in a..RANK {
+                gradient[quadratic_position::<RANK>(a, b)] = direction[a] * direction[b];
+            }
+        }
+        let deviation = libm::sqrt(gradient.dot(&(covariance * gradient)).max(0.0));
+        let value = principal.values[k];
+        let relative = deviation / value.abs().max(f64::MIN_POSITIVE);
+        if relative > LARGEST_RELATIVE_UNCERTAINTY {
+            return Err(does_not_span(relative));
+        }
+        if value <= 0.0 {
+            return Err(Refusal::MetricNotPositiveDefinite);
+        }
+    }
+    Ok(())
+}
+
+/// Ψ = E[φφᵀ] and ψ = E[φ] with adjusted moments; φ holds the products xₐx_b (a ≤ b), then xₐ.
+fn normal_equations<const RANK: usize>(
+    moments: &MotionMoments<RANK>,
+    noise: &SVector<f64, RANK>,
+) -> (SMatrix<f64, UNKNOWNS, UNKNOWNS>, SVector<f64, UNKNOWNS>) {
+    let mut normal = SMatrix::<f64, UNKNOWNS, UNKNOWNS>::identity();
+    let mut right = SVector::<f64, UNKNOWNS>::zeros();
+    for a in 0..RANK {
+        for b in a..RANK {
+            let row = quadratic_position::<RANK>(a, b);
+            right[row] = adjusted_second(moments, noise, a, b);
+            for c in 0..RANK {
+                for d in c..RANK {
+                    normal[(row, quadratic_position::<RANK>(c, d))] =
+                        adjusted_fourth(moments, noise, [a, b, c, d]);
+                }
+                let column = linear_position::<RANK>(c);
+                normal[(row, column)] = moments.third[a][b][c];
+                normal[(column, row)] = moments.third[a][b][c];
+            }
+        }
+        for b in 0..RANK {
+            normal[(linear_position::<RANK>(a), linear_position::<RANK>(b))] =
+                adjusted_second(moments, noise, a, b);
+        }
+    }
+    (normal, right)
+}
+
+fn adjusted_second<const RANK: usize>(
+    moments: &MotionMoments<RANK>,
+    noise: &SVector<f64, RANK>,
+    a: usize,
+    b: usize,
+) -> f64 {
+    moments.second[a][b] - noise_covariance(noise, a, b)
+}
+
+fn adjusted_fourth<const RANK: usize>(
+    moments: &MotionMoments<RANK>,
+    noise: &SVector<f64, RANK>,
+    [a, b, c, d]: [usize; 4],
+) -> f64 {
+    let nu = |i, j| noise_covariance(noise, i, j);
+    let pairs: f64 = [
+        ([a, b], [c, d]),
+        ([a, c], [b, d]),
+        ([a, d], [b, c]),
+        ([c, d], [a, b]),
+        ([b, d], [a, c]),
+        ([b, c], [a, d]),
+    ]
+    .iter()
+    .map(|&([i, j], [k, l])| nu(i, j) * moments.second[k][l])
+    .sum();
+    let pairings = nu(a, b) * nu(c, d) + nu(a, c) * nu(b, d) + nu(a, d) * nu(b, c);
+    moments.fourth[a][b][c][d] - pairs + pairings
+}
+
+fn noise_covariance<const RANK: usize>(noise: &SVector<f64, RANK>, a: usize, b: usize) -> f64 {
+    if a == b { noise[a] } else { 0.0 }
+}
+
+/// Where xₐx_b stands in φ.
+const fn quadratic_position<const RANK: usize>(a: usize, b: usize) -> usize {
+    let (row, column) = if a <= b { (a, b) } else { (b, a) };
+    row * RANK - row * (row + 1) / 2 + column
+}
+
+/// Where xₐ stands in φ.
+const fn linear_position<const RANK: usize>(a: usize) -> usize {
+    RANK * (RANK + 1) / 2 + a
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "a report of three digits")]
+const fn does_not_span(relative_uncertainty: f64) -> Refusal {
+    Refusal::MotionDoesNotSpan {
+        relative_uncertainty: relative_uncertainty as f32,
+        need: LARGEST_RELATIVE_UNCERTAINTY as f32,
+    }
+}

@@ -1,0 +1,29 @@
+//! Shape from motion, one step of the paper a file.
+//!
+//! ```text
+//! codes ──► moments ──► basis ──► projection ──► metric ──► shape ──► calibration ──► application
+//!           ZᵀZ and     eq. 7–9   moments in     eq. 13     eq. 11    eq. 5           eq. 1
+//!           beyond                r dimensions              S, b      C = [Sᵀ]⁺       C(z − b)
+//! ```
+//!
+//! | module | step | source |
+//! |---|---|---|
+//! | [`moments`] | one pass over the codes: exact sums, Gram matrix, sums of degree 3 and 4 | design § 2 |
+//! | [`basis`] | the p×p eigenproblem in place of the SVD of Z; noise from the redundant eigenvalues | eq. 7–9, design § 3.1 |
+//! | [`projection`] | the moments in the r coordinates of the basis | design § 3.2 |
+//! | [`metric`] | the constraint |m| = 1, with free centre | eq. 13, design § 3.3 |
+//! | [`shape`] | shape and bias of one trial | eq. 10, 11, design § 3.4 |
+//! | [`calibration`] | calibration matrix of a shape | eq. 5 |
+//! | [`application`] | raw codes to wrench, in real time | eq. 1 |
+//!
+//! A model throughout: `z = b + Sᵀ m + e` with codes z and bias b (p counts), shape S (r × p, counts per unit load) and
+//! a load direction m with |m| = 1.
+
+pub mod application;
+pub mod basis;
+pub mod calibration;
+mod eigen;
+pub mod metric;
+pub mod moments;
+pub mod projection;
+pub mod shape;

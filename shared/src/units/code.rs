@@ -1,0 +1,59 @@
+//! One raw conversion result.
+
+use serde::{Deserialize, Serialize};
+
+/// The raw conversion result of one gage channel: a signed 24-bit integer, in counts.
+///
+/// The two ends of the range double as the converter's overload indication: a converter whose input leaves its range
+/// holds the end of the range, so a code there says "at least this much" and is never a measurement.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[serde(transparent)]
+pub struct AdcCode(i32);
+
+impl AdcCode {
+    /// The most negative code, −2²³.
+    pub const MIN: Self = Self(-(1 << 23));
+    /// The most positive code, 2²³ − 1.
+    pub const MAX: Self = Self((1 << 23) - 1);
+    /// The code of zero input.
+    pub const ZERO: Self = Self(0);
+
+    /// The code of this value, or `None` where it does not fit into 24 bits.
+    pub const fn new(counts: i32) -> Option<Self> {
+        if counts < Self::MIN.0 || counts > Self::MAX.0 { None } else { Some(Self(counts)) }
+    }
+
+    /// The nearest code to this value: what a converter returns for an input beyond its range.
+    pub const fn saturating(counts: i64) -> Self {
+        if counts < Self::MIN.0 as i64 {
+            Self::MIN
+        } else if counts > Self::MAX.0 as i64 {
+            Self::MAX
+        } else {
+            #[expect(clippy::cast_possible_truncation, reason = "bounded by the two branches above")]
+            Self(counts as i32)
+        }
+    }
+
+    /// The code in the converter's own byte order: 24 bits, two's complement, most significant byte first.
+    pub const fn from_be_bytes(bytes: [u8; 3]) -> Self {
+        Self(i32::from_be_bytes([bytes[0], bytes[1], bytes[2], 0]) >> 8)
+    }
+
+    /// The converter's own byte order, as read by [`AdcCode::from_be_bytes`].
+    pub const fn to_be_bytes(self) -> [u8; 3] {
+        let [_, high, middle, low] = self.0.to_be_bytes();
+        [high, middle, low]
+    }
+
+    /// The value in counts.
+    pub const fn counts(self) -> i32 {
+        self.0
+    }
+
+    /// Whether the converter stood at an end of its range.
+    pub const fn is_saturated(self) -> bool {
+        self.0 == Self::MIN.0 || self.0 == Self::MAX.0
+    }
+}

@@ -1,0 +1,156 @@
+//! Requests of the host, responses of the sensor, and the greeting that never changes.
+
+use serde::{Deserialize, Serialize};
+
+use super::report::{CodesFrame, Solution, Status, TrialStatus, WrenchFrame};
+use crate::refusal::Refusal;
+use crate::units::{DataRate, Dof, Gain, MAX_DOF, MAX_GAGES};
+
+/// The version of every message but the greeting.
+pub const PROTOCOL_VERSION: u16 = 1;
+
+/// What a sensor of this product answers to a greeting.
+pub const PRODUCT: [u8; 5] = *b"ftcal";
+
+/// One value a gage.
+pub type GageList<T> = heapless::Vec<T, MAX_GAGES>;
+
+/// A number that the host chooses and the sensor repeats in its response.
+pub type RequestId = u16;
+
+/// Host to sensor.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum ToDevice {
+    /// Who are you? Frozen.
+    Hello,
+    /// Everything else.
+    Request(RequestId, Request),
+}
+
+/// Sensor to host.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum ToHost {
+    /// The answer to a greeting. Frozen.
+    Hello(Hello),
+    /// The answer to the request of the same number.
+    Response(RequestId, Response),
+    /// A raw sample, unasked for while [`StreamKind::Codes`] is on.
+    Codes(CodesFrame),
+    /// A wrench, unasked for while [`StreamKind::Wrench`] is on.
+    Wrench(WrenchFrame),
+}
+
+/// Who the sensor is. Frozen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Hello {
+    /// [`PRODUCT`].
+    pub product: [u8; 5],
+    /// The [`PROTOCOL_VERSION`] of every other message.
+    pub protocol_version: u16,
+    /// Version of the firmware: major, minor, patch.
+    pub firmware_version: [u8; 3],
+}
+
+/// What the host asks for.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Request {
+    /// How are you? Answered by [`Response::Status`].
+    Status,
+    /// Sample at this rate and gain from now on. Refused while a trial runs.
+    ConfigureAdc(DataRate, Gain),
+    /// Send samples as they come, or stop sending them.
+    Stream(StreamKind),
+    /// Start a trial of this proper rank (2 or 3); the sums of the trial before are dropped.
+    StartTrial {
+        /// The proper rank r of the trial.
+        rank: u8,
+    },
+    /// Stop the running trial; its sums are kept. Answered by [`Response::Trial`].
+    StopTrial,
+    /// How far is the trial? Answered by [`Response::Trial`].
+    TrialStatus,
+    /// Solve the stopped trial on the sensor. Answered by [`Response::Solution`] when done.
+    SolveTrial,
+    /// Use this calibration from now on. Answered by [`Response::Calibration`].
+    UploadCalibration(CalibrationUpload),
+    /// Which calibration do you use? Answered by [`Response::Calibration`].
+    ReadCalibration,
+}
+
+/// What the sensor sends unasked.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum StreamKind {
+    /// Nothing.
+    #[default]
+    Off,
+    /// The raw codes of every sample.
+    Codes,
+    /// The wrench of every sample.
+    Wrench,
+}
+
+/// What the sensor answers.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Response {
+    /// Done, nothing to tell.
+    Done,
+    /// State of the sensor.
+    Status(Status),
+    /// State of the trial.
+    Trial(TrialStatus),
+    /// The trial's shape and bias.
+    Solution(Solution),
+    /// The calibration in use, if any.
+    Calibration(Option<CalibrationUpload>),
+    /// The trial has no answer.
+    Refused(Refusal),
+    /// The request cannot be served.
+    Rejected(Rejection),
+}
+
+/// Why a request is not served.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Rejection {
+    /// There is no trial to stop or to solve.
+    NoTrial,
+    /// A trial is running, or being solved.
+    TrialBusy,
+    /// A trial has rank 2 or 3.
+    UnsupportedRank,
+    /// The calibration is for another number of gages than this sensor has, or its matrix does not fit its axes.
+    WrongDimensions,
+    /// A number of the calibration is not finite, or out of the converter's range.
+    UnusableNumbers,
+    /// The calibration's checksum does not match its numbers.
+    WrongIdentity,
+}
+
+/// A calibration in the sensor's own form.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CalibrationUpload {
+    /// The axes, in the order of the matrix's rows.
+    pub dof: Dof,
+    /// b (p), counts.
+    pub bias_counts: GageList<f64>,
+    /// C (m × p, row by row), newton and newton metre per count.
+    pub matrix: heapless::Vec<f32, { MAX_DOF * MAX_GAGES }>,
+    /// [`CalibrationUpload::identity_of_numbers`] of the above, by which every wrench names its calibration.
+    pub identity: u32,
+}
+
+impl CalibrationUpload {
+    /// The identity of these numbers: CRC-32 over the axes, the bias and the matrix as they travel.
+    pub fn identity_of_numbers(&self) -> u32 {
+        let mut digest = super::frame::CHECK.digest();
+        digest.update(&[self.dof as u8]);
+        for bias in &self.bias_counts {
+            digest.update(&bias.to_le_bytes());
+        }
+        for element in &self.matrix {
+            digest.update(&element.to_le_bytes());
+        }
+        digest.finalize()
+    }
+}

@@ -1,0 +1,25 @@
+//! The serial protocol between sensor and host.
+//!
+//! ```text
+//! message ──postcard──► payload ──CRC-32──► payload ‖ crc ──COBS──► bytes without zero ──► … ‖ 0x00
+//! ```
+//!
+//! A frame ends with a zero byte and holds no other, so a receiver that has lost its place finds it again at the next
+//! frame. postcard is positional: the meaning of a byte depends on the version of the protocol, which [`Hello`] tells.
+//!
+//! **Compatibility.** The bytes of [`ToDevice::Hello`] and of [`ToHost::Hello`] never change. Every other message may change
+//! with [`PROTOCOL_VERSION`]; a host speaks only to a device of its own version, and says so otherwise. Variants are
+//! numbered by their position: new ones go to the end.
+
+pub mod frame;
+mod message;
+mod report;
+
+pub use message::{
+    CalibrationUpload, GageList, Hello, PRODUCT, PROTOCOL_VERSION, Rejection, Request, RequestId, Response,
+    StreamKind, ToDevice, ToHost,
+};
+pub use report::{
+    AdcState, ClockSource, CodesFrame, InvalidCause, Measurement, Solution, Status, TrialPhase, TrialStatus,
+    WrenchFrame,
+};

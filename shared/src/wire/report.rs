@@ -1,0 +1,162 @@
+//! What the sensor tells: its state, its trial, its samples.
+
+use serde::{Deserialize, Serialize};
+
+use super::message::{GageList, StreamKind};
+use crate::fault::AdcFault;
+use crate::units::{AdcCode, DataRate, DeviceTime, Gain, MAX_DOF, MAX_GAGES, SampleIndex};
+
+/// State of the sensor.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Status {
+    /// Gage channels p.
+    pub gages: u8,
+    /// Where the processor's clock comes from.
+    pub clock: ClockSource,
+    /// State of the converter.
+    pub adc: AdcState,
+    /// Conversions a second.
+    pub data_rate: DataRate,
+    /// Gain of the converter.
+    pub gain: Gain,
+    /// What is being sent unasked.
+    pub stream: StreamKind,
+    /// Identity of the calibration in use; `None` where the sensor is not calibrated.
+    pub calibration: Option<u32>,
+    /// State of the trial.
+    pub trial: TrialStatus,
+    /// Time since the start.
+    pub uptime: DeviceTime,
+    /// Conversions read well.
+    pub conversions: u32,
+    /// Conversions lost: announced but not read in time, or never announced.
+    pub lost_conversions: u32,
+    /// Conversions thrown away because their checksum was wrong.
+    pub corrupted_conversions: u32,
+    /// Stream frames that did not fit on the line.
+    pub dropped_frames: u32,
+    /// Frames from the host that were broken.
+    pub broken_frames: u32,
+}
+
+/// Where the processor's clock comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum ClockSource {
+    /// The crystal, as designed.
+    Crystal,
+    /// The internal oscillator, because the crystal did not start: times are off by up to a per cent.
+    InternalFallback,
+    /// The simulator's own time.
+    Simulated,
+}
+
+/// State of the converter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum AdcState {
+    /// Not yet started.
+    Starting,
+    /// Converting.
+    Running,
+    /// Not usable; no sample is produced.
+    Faulty(AdcFault),
+}
+
+/// State of the trial.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct TrialStatus {
+    /// What the trial is doing.
+    pub phase: TrialPhase,
+    /// The proper rank asked for; 0 before the first trial.
+    pub rank: u8,
+    /// Samples taken in.
+    pub used: u32,
+    /// Samples rejected because a channel stood at the end of its range.
+    pub saturated: u32,
+    /// Index of the first sample that was offered to the trial.
+    pub first: SampleIndex,
+    /// Samples offered to the trial: used and rejected.
+    pub offered: u32,
+}
+
+/// What a trial is doing.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum TrialPhase {
+    /// There is none.
+    #[default]
+    None,
+    /// Taking in samples.
+    Running,
+    /// Stopped, ready to be solved.
+    Stopped,
+    /// Being solved.
+    Solving,
+}
+
+/// One trial's shape and bias, as solved on the sensor; the orientation is arbitrary.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Solution {
+    /// The proper rank r.
+    pub rank: u8,
+    /// S (r × p, row by row), counts per unit load.
+    pub shape_counts_per_load: heapless::Vec<f64, { 3 * MAX_GAGES }>,
+    /// b (p), counts.
+    pub bias_counts: GageList<f64>,
+    /// Eigenvalues of the covariance of the codes (p), descending, counts².
+    pub eigenvalues: GageList<f64>,
+    /// Standard deviation of the noise of one channel, counts; `None` at p = r.
+    pub noise_counts: Option<f64>,
+    /// Samples that took part.
+    pub samples: u32,
+}
+
+/// One raw sample.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CodesFrame {
+    /// Number of the conversion.
+    pub index: SampleIndex,
+    /// When it was read.
+    pub time: DeviceTime,
+    /// The codes (p).
+    pub codes: GageList<AdcCode>,
+}
+
+/// One wrench.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct WrenchFrame {
+    /// Number of the conversion.
+    pub index: SampleIndex,
+    /// When the conversion was read.
+    pub time: DeviceTime,
+    /// The wrench, or why there is none.
+    pub measurement: Measurement,
+}
+
+/// A wrench that cannot be read where there is none.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Measurement {
+    /// A wrench.
+    Valid {
+        /// Newton and newton metre in the sensor frame, in the order of the calibration's axes; zero beyond them.
+        wrench: [f32; MAX_DOF],
+        /// Identity of the calibration it was made with.
+        calibration: u32,
+    },
+    /// No wrench.
+    Invalid(InvalidCause),
+}
+
+/// Why a sample makes no wrench.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum InvalidCause {
+    /// The sensor has no calibration.
+    Uncalibrated,
+    /// These channels stood at the end of their range: bit k for gage k.
+    Saturated(u16),
+    /// The converter is at fault.
+    Adc(AdcFault),
+}
