@@ -30,6 +30,8 @@ pub enum AdcFault {
     UnexpectedReply,
     /// The converter was reset without being asked to: its settings are lost.
     UnexpectedReset,
+    /// A conversion was announced, but what was read is not marked as new.
+    StaleConversion,
     /// No conversion was announced for several conversion periods.
     DataReadyLost,
 }

@@ -18,8 +18,12 @@ const LEAST_GAP: f64 = 10.0;
 /// Variance of the rounding to whole codes, counts²: no eigenvalue says anything below it.
 pub const QUANTISATION_VARIANCE: f64 = 1.0 / 12.0;
 
-/// The r-th eigenvalue over the first below which it is rounding of the others, not signal.
-const LEAST_RELATIVE_EIGENVALUE: f64 = 1e-10;
+/// The least r-th eigenvalue, relative to the first, that counts as a direction of its own.
+///
+/// Where one direction's signal is κ times weaker than another's, its moment of degree four is κ⁴ times smaller and
+/// drowns in the rounding of the sums (about 10⁻⁸). This bound is κ = 32, a relative error of 1 %; a sensor's
+/// shape is rounder than that, and motion in a plane is not.
+const LEAST_RELATIVE_EIGENVALUE: f64 = 1e-3;
 
 /// The rank-r subspace of the codes in which the motion takes place.
 #[derive(Clone, Debug)]
