@@ -1,0 +1,235 @@
+//! Acquisition: a converter that is started, watched and, when it fails, started again.
+//!
+//! Nothing here waits for the converter. It announces its conversions; when it stops doing so for longer than
+//! ten conversion periods, or when eight replies in a row are corrupted, it counts as faulty, produces no sample, and is
+//! started anew twice a second.
+
+use embedded_hal::delay::DelayNs;
+use embedded_hal::spi::SpiDevice;
+use ftcal_shared::fault::AdcFault;
+use ftcal_shared::units::{AdcCode, DataRate, DeviceTime, Gain, SampleIndex};
+use ftcal_shared::wire::AdcState;
+
+use crate::adc::{AdcSettings, Ads131m08, CHANNELS, ChannelMask, Conversion};
+
+/// Conversion periods without data-ready after which the converter counts as silent.
+const SILENCE_PERIODS: u64 = 10;
+
+/// The shortest silence that counts: ticks are no closer than this, and the serial tunnel of the emulator no quicker.
+const LEAST_SILENCE_MICROS: u64 = 100_000;
+
+/// Corrupted replies in a row after which the bus counts as broken rather than disturbed.
+const LARGEST_CORRUPTED_RUN: u8 = 8;
+
+/// Time between two attempts to start a faulty converter.
+const RESTART_INTERVAL_MICROS: u64 = 500_000;
+
+/// One conversion of the gages in use.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Sample<const GAGES: usize> {
+    /// Number of the conversion; lost and corrupted conversions have taken a number, too.
+    pub index: SampleIndex,
+    /// When it was announced.
+    pub time: DeviceTime,
+    /// The codes, one a gage.
+    pub codes: [AdcCode; GAGES],
+}
+
+/// Counts of conversions since the start.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ConversionCounters {
+    /// Read well.
+    pub read: u32,
+    /// Due but never announced, or announced and not read in time.
+    pub lost: u32,
+    /// Thrown away for a wrong checksum or a reply that makes no sense.
+    pub corrupted: u32,
+}
+
+/// The converter on its bus, with `GAGES` of its channels in use.
+pub struct Acquisition<Spi, const GAGES: usize> {
+    adc: Ads131m08<Spi>,
+    settings: AdcSettings,
+    state: AdcState,
+    counters: ConversionCounters,
+    next_index: SampleIndex,
+    last_start: Option<DeviceTime>,
+    /// When the last conversion since the start was read.
+    last_read: Option<DeviceTime>,
+    /// When the last conversion since the start was announced.
+    last_announced: Option<DeviceTime>,
+    corrupted_run: u8,
+}
+
+impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
+    const GAGES_FIT: () = assert!(GAGES >= 1 && GAGES <= CHANNELS);
+
+    /// Gage k is on channel k.
+    const CHANNELS: ChannelMask = ChannelMask::new(u8::MAX >> (CHANNELS - GAGES));
+
+    /// A converter that is not started yet; the first [`Acquisition::tick`] starts it.
+    pub fn new(spi: Spi) -> Self {
+        let () = Self::GAGES_FIT;
+        Self {
+            adc: Ads131m08::new(spi),
+            settings: AdcSettings { channels: Self::CHANNELS, ..AdcSettings::default() },
+            state: AdcState::Starting,
+            counters: ConversionCounters::default(),
+            next_index: SampleIndex::default(),
+            last_start: None,
+            last_read: None,
+            last_announced: None,
+            corrupted_run: 0,
+        }
+    }
+
+    /// State of the converter.
+    pub const fn state(&self) -> AdcState {
+        self.state
+    }
+
+    /// Counts of conversions.
+    pub const fn counters(&self) -> ConversionCounters {
+        self.counters
+    }
+
+    /// The number that the next conversion gets.
+    pub const fn next_index(&self) -> SampleIndex {
+        self.next_index
+    }
+
+    /// Rate and gain asked for.
+    pub const fn settings(&self) -> &AdcSettings {
+        &self.settings
+    }
+
+    /// Asks for another rate and gain; the next [`Acquisition::tick`] starts the converter with them.
+    pub fn configure(&mut self, data_rate: DataRate, gain: Gain) {
+        self.settings.data_rate = data_rate;
+        self.settings.gain = gain;
+        self.state = AdcState::Starting;
+        self.last_start = None;
+    }
+
+    /// Watches the converter and starts it where it is due. Takes some milliseconds when it starts the converter, during
+    /// which there are no samples to miss; otherwise a few instructions.
+    pub fn tick(&mut self, now: DeviceTime, delay: &mut impl DelayNs) {
+        match self.state {
+            AdcState::Running => self.check_silence(now),
+            AdcState::Starting | AdcState::Faulty(_) => {
+                let due =
+                    self.last_start.is_none_or(|last| micros_since(now, last) >= RESTART_INTERVAL_MICROS);
+                if due {
+                    self.start(now, delay);
+                }
+            }
+        }
+    }
+
+    /// Reads the conversion that the converter announced. `None` where the converter is not running.
+    ///
+    /// `announced` is when data-ready fell, as exactly as the board can tell, and becomes the sample's time; `now` is the
+    /// board's clock. (In the emulator the converter lives outside and announces by its own clock.)
+    ///
+    /// # Errors
+    ///
+    /// The fault that makes this conversion unusable. One disturbed reply is counted and forgiven; the state turns to
+    /// [`AdcState::Faulty`] as described above.
+    pub fn on_data_ready(
+        &mut self,
+        now: DeviceTime,
+        announced: DeviceTime,
+    ) -> Option<Result<Sample<GAGES>, AdcFault>> {
+        if self.state != AdcState::Running {
+            return None;
+        }
+        let conversion = self.read(announced);
+        self.last_read = Some(now);
+        self.last_announced = Some(announced);
+        let index = self.next_index;
+        self.next_index = index.next();
+        Some(match conversion {
+            Ok(conversion) => {
+                self.corrupted_run = 0;
+                self.counters.read = self.counters.read.wrapping_add(1);
+                Ok(Sample {
+                    index,
+                    time: announced,
+                    codes: core::array::from_fn(|gage| conversion.codes[gage]),
+                })
+            }
+            Err(fault) => {
+                self.counters.corrupted = self.counters.corrupted.wrapping_add(1);
+                self.corrupted_run += 1;
+                if !is_disturbance(fault) || self.corrupted_run >= LARGEST_CORRUPTED_RUN {
+                    self.state = AdcState::Faulty(fault);
+                }
+                Err(fault)
+            }
+        })
+    }
+
+    /// Reads the newest conversion. The converter keeps up to two conversions for a reader that is late; after a pause
+    /// the older one is thrown away, or every sample from then on would be one conversion old.
+    fn read(&mut self, announced: DeviceTime) -> Result<Conversion, AdcFault> {
+        if self.count_lost_before(announced) > 0 {
+            self.adc.discard_backlog()?;
+        }
+        let conversion = self.adc.read_conversion()?;
+        // Without its data-ready bit a code is the one before, once more.
+        if conversion.status.data_ready().contains(Self::CHANNELS) {
+            Ok(conversion)
+        } else {
+            Err(AdcFault::StaleConversion)
+        }
+    }
+
+    fn start(&mut self, now: DeviceTime, delay: &mut impl DelayNs) {
+        self.last_start = Some(now);
+        self.last_read = None;
+        self.last_announced = None;
+        self.corrupted_run = 0;
+        self.state = match self.adc.start(delay, self.settings) {
+            Ok(()) => AdcState::Running,
+            Err(fault) => AdcState::Faulty(fault),
+        };
+    }
+
+    fn check_silence(&mut self, now: DeviceTime) {
+        let allowed = (SILENCE_PERIODS * self.period_micros()).max(LEAST_SILENCE_MICROS);
+        let last = self.last_read.or(self.last_start);
+        if last.is_some_and(|last| micros_since(now, last) > allowed) {
+            self.state = AdcState::Faulty(AdcFault::DataReadyLost);
+            self.last_start = None;
+        }
+    }
+
+    /// Whole periods that passed without data-ready are conversions lost. Between two conversions in order lies one
+    /// period, give or take the time to respond; only a pause of more than one and a half says that one is missing.
+    fn count_lost_before(&mut self, announced: DeviceTime) -> u32 {
+        let Some(last) = self.last_announced else { return 0 };
+        let period = self.period_micros();
+        let periods = (micros_since(announced, last) + period / 2) / period;
+        let missing = u32::try_from(periods.saturating_sub(1)).unwrap_or(u32::MAX);
+        self.counters.lost = self.counters.lost.wrapping_add(missing);
+        self.next_index = SampleIndex::new(self.next_index.get().wrapping_add(missing));
+        missing
+    }
+
+    fn period_micros(&self) -> u64 {
+        1_000_000 / u64::from(self.settings.data_rate.hertz())
+    }
+}
+
+/// Whether this is a disturbance of one transfer, which the next may be free of. Everything else says that the converter
+/// is no longer what it was set up to be.
+const fn is_disturbance(fault: AdcFault) -> bool {
+    matches!(
+        fault,
+        AdcFault::ReplyCorrupted | AdcFault::CommandCorrupted | AdcFault::StaleConversion | AdcFault::Bus
+    )
+}
+
+const fn micros_since(now: DeviceTime, earlier: DeviceTime) -> u64 {
+    now.as_micros().saturating_sub(earlier.as_micros())
+}

@@ -1,0 +1,46 @@
+//! What can be set about the converter.
+
+use ftcal_shared::units::{DataRate, Gain};
+
+/// A set of channels: bit n stands for channel n.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct ChannelMask(u8);
+
+impl ChannelMask {
+    /// All eight channels.
+    pub const ALL: Self = Self(0xFF);
+
+    /// The channels whose bit is set.
+    pub const fn new(bits: u8) -> Self {
+        Self(bits)
+    }
+
+    /// One bit for each channel in the set.
+    pub const fn bits(self) -> u8 {
+        self.0
+    }
+
+    /// Whether every channel of `others` is in this set.
+    pub const fn contains(self, others: Self) -> bool {
+        self.0 & others.0 == others.0
+    }
+}
+
+impl Default for ChannelMask {
+    fn default() -> Self {
+        Self::ALL
+    }
+}
+
+/// How the converter is to work, the same for all channels.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct AdcSettings {
+    /// Conversions a second.
+    pub data_rate: DataRate,
+    /// Amplification at the input.
+    pub gain: Gain,
+    /// The channels that convert; the others read as zero.
+    pub channels: ChannelMask,
+}

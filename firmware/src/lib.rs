@@ -1,0 +1,27 @@
+//! The sensor's application: portable, runtime-free and hardware-free.
+//!
+//! ```text
+//!            data ready                                    bytes from the host
+//!                │                                                │
+//!        [`acquisition`] ── codes ──► [`sensor`] ◄── request ── [`session`]
+//!          [`adc`] driver          [`trial`], calibration         │
+//!                │                        │                       │
+//!           any SPI bus             stream frames              responses
+//! ```
+//!
+//! The board, the in-process simulator and the tests feed the same code; what differs is who calls it:
+//!
+//! | call | when | on the board |
+//! |---|---|---|
+//! | [`sensor::Sensor::on_data_ready`] | the converter announces a conversion | data-ready interrupt |
+//! | [`sensor::Sensor::tick`] | every few milliseconds | timer |
+//! | [`session::Session::on_byte`] | a byte came from the host | serial interrupt |
+//! | [`sensor::Sensor::answer`] | a request is complete | below the sample path |
+//! | [`trial::SolveJob::solve`] | a trial is to be solved | lowest priority, in the background |
+#![no_std]
+
+pub mod acquisition;
+pub mod adc;
+pub mod sensor;
+pub mod session;
+pub mod trial;

@@ -1,0 +1,232 @@
+//! The sensor as a whole: samples in, frames out; requests in, responses out.
+
+use core::ops::DerefMut;
+
+use embedded_hal::delay::DelayNs;
+use embedded_hal::spi::SpiDevice;
+use ftcal_shared::estimation::application::{RealTimeCalibration, UnusableCalibration};
+use ftcal_shared::estimation::moments::Moments;
+use ftcal_shared::fault::AdcFault;
+use ftcal_shared::units::{AdcCode, DeviceTime};
+use ftcal_shared::wire::{
+    AdcState, CalibrationUpload, ClockSource, CodesFrame, GageList, InvalidCause, Measurement, Rejection,
+    Request, Response, Status, StreamKind, ToHost, WrenchFrame,
+};
+
+use crate::acquisition::{Acquisition, Sample};
+use crate::trial::{SolveJob, Trial};
+
+/// What the sample path sends to the host.
+#[derive(Clone, Debug, PartialEq)]
+pub enum StreamFrame {
+    /// A raw sample.
+    Codes(CodesFrame),
+    /// A wrench, or why there is none.
+    Wrench(WrenchFrame),
+}
+
+impl From<StreamFrame> for ToHost {
+    fn from(frame: StreamFrame) -> Self {
+        match frame {
+            StreamFrame::Codes(frame) => Self::Codes(frame),
+            StreamFrame::Wrench(frame) => Self::Wrench(frame),
+        }
+    }
+}
+
+/// What a request leads to.
+pub enum Reaction<Store, const GAGES: usize, const HIGHER: usize> {
+    /// Send this.
+    Respond(Response),
+    /// Solve this in the background, send the outcome as the response, and give the job back by
+    /// [`Sensor::finish_solving`].
+    Solve(SolveJob<Store, GAGES, HIGHER>),
+}
+
+/// What the link knows and the sensor reports in its status.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LinkCounters {
+    /// Stream frames that did not fit on the line.
+    pub dropped_frames: u32,
+    /// Frames from the host that were broken.
+    pub broken_frames: u32,
+}
+
+/// Converter, trial and calibration of one sensor with `GAGES` gages.
+pub struct Sensor<Spi, Store, const GAGES: usize, const HIGHER: usize> {
+    acquisition: Acquisition<Spi, GAGES>,
+    trial: Trial<Store, GAGES, HIGHER>,
+    calibration: Option<LoadedCalibration<GAGES>>,
+    stream: StreamKind,
+    clock: ClockSource,
+}
+
+/// A calibration as it came, and in the form that the sample path applies.
+struct LoadedCalibration<const GAGES: usize> {
+    upload: CalibrationUpload,
+    real_time: RealTimeCalibration<GAGES>,
+}
+
+impl<Spi, Store, const GAGES: usize, const HIGHER: usize> Sensor<Spi, Store, GAGES, HIGHER>
+where
+    Spi: SpiDevice<u8>,
+    Store: DerefMut<Target = Moments<GAGES, HIGHER>>,
+{
+    /// An uncalibrated sensor whose converter the first [`Sensor::tick`] starts.
+    pub fn new(spi: Spi, store: Store, clock: ClockSource) -> Self {
+        Self {
+            acquisition: Acquisition::new(spi),
+            trial: Trial::new(store),
+            calibration: None,
+            stream: StreamKind::Off,
+            clock,
+        }
+    }
+
+    /// Watches over the converter; see [`Acquisition::tick`]. Where a wrench is being streamed and the converter is at
+    /// fault, the host is told so at every tick, instead of hearing nothing.
+    pub fn tick(&mut self, now: DeviceTime, delay: &mut impl DelayNs) -> Option<StreamFrame> {
+        self.acquisition.tick(now, delay);
+        match self.acquisition.state() {
+            AdcState::Faulty(fault) => self.invalid_frame(now, fault),
+            AdcState::Starting | AdcState::Running => None,
+        }
+    }
+
+    /// The sample path: reads the conversion that the converter announces, takes it into the trial, and applies the
+    /// calibration. Allocates nothing and waits for nothing but the bus transfer. For the two times see
+    /// [`Acquisition::on_data_ready`].
+    pub fn on_data_ready(&mut self, now: DeviceTime, announced: DeviceTime) -> Option<StreamFrame> {
+        match self.acquisition.on_data_ready(now, announced)? {
+            Ok(sample) => {
+                self.trial.offer(sample.index, &sample.codes);
+                self.stream_frame(&sample)
+            }
+            Err(fault) => self.invalid_frame(now, fault),
+        }
+    }
+
+    /// Serves one request.
+    pub fn answer(
+        &mut self,
+        request: Request,
+        now: DeviceTime,
+        link: LinkCounters,
+    ) -> Reaction<Store, GAGES, HIGHER> {
+        let served = match request {
+            Request::Status => Ok(Response::Status(self.status(now, link))),
+            Request::ConfigureAdc(data_rate, gain) => self.trial.require_idle().map(|()| {
+                self.acquisition.configure(data_rate, gain);
+                Response::Done
+            }),
+            Request::Stream(kind) => {
+                self.stream = kind;
+                Ok(Response::Done)
+            }
+            Request::StartTrial { rank } => self.trial.start(rank).map(|()| Response::Done),
+            Request::StopTrial => self.trial.stop().map(Response::Trial),
+            Request::TrialStatus => Ok(Response::Trial(self.trial.status())),
+            Request::SolveTrial => match self.trial.take_for_solving() {
+                Ok(job) => return Reaction::Solve(job),
+                Err(rejection) => Err(rejection),
+            },
+            Request::UploadCalibration(upload) => self.load(upload).map(|()| self.calibration_response()),
+            Request::ReadCalibration => Ok(self.calibration_response()),
+        };
+        Reaction::Respond(served.unwrap_or_else(Response::Rejected))
+    }
+
+    /// Takes a solved trial back.
+    pub fn finish_solving(&mut self, job: SolveJob<Store, GAGES, HIGHER>) {
+        self.trial.finish(job);
+    }
+
+    fn stream_frame(&self, sample: &Sample<GAGES>) -> Option<StreamFrame> {
+        match self.stream {
+            StreamKind::Off => None,
+            StreamKind::Codes => Some(StreamFrame::Codes(CodesFrame {
+                index: sample.index,
+                time: sample.time,
+                codes: GageList::from_slice(&sample.codes).ok()?,
+            })),
+            StreamKind::Wrench => Some(StreamFrame::Wrench(WrenchFrame {
+                index: sample.index,
+                time: sample.time,
+                measurement: self.measure(&sample.codes),
+            })),
+        }
+    }
+
+    fn measure(&self, codes: &[AdcCode; GAGES]) -> Measurement {
+        let Some(calibration) = &self.calibration else {
+            return Measurement::Invalid(InvalidCause::Uncalibrated);
+        };
+        let saturated = saturated_channels(codes);
+        if saturated != 0 {
+            return Measurement::Invalid(InvalidCause::Saturated(saturated));
+        }
+        Measurement::Valid {
+            wrench: calibration.real_time.apply(codes),
+            calibration: calibration.upload.identity,
+        }
+    }
+
+    fn invalid_frame(&self, now: DeviceTime, fault: AdcFault) -> Option<StreamFrame> {
+        (self.stream == StreamKind::Wrench).then(|| {
+            StreamFrame::Wrench(WrenchFrame {
+                index: self.acquisition.next_index(),
+                time: now,
+                measurement: Measurement::Invalid(InvalidCause::Adc(fault)),
+            })
+        })
+    }
+
+    /// Takes a calibration into use. The one before stays in use where the new one is refused.
+    fn load(&mut self, upload: CalibrationUpload) -> Result<(), Rejection> {
+        if upload.identity != upload.identity_of_numbers() {
+            return Err(Rejection::WrongIdentity);
+        }
+        let real_time = RealTimeCalibration::new(upload.dof, &upload.matrix, &upload.bias_counts).map_err(
+            |unusable| match unusable {
+                UnusableCalibration::WrongDimensions => Rejection::WrongDimensions,
+                UnusableCalibration::NonFinite | UnusableCalibration::BiasOutOfRange => {
+                    Rejection::UnusableNumbers
+                }
+            },
+        )?;
+        self.calibration = Some(LoadedCalibration { upload, real_time });
+        Ok(())
+    }
+
+    fn calibration_response(&self) -> Response {
+        Response::Calibration(self.calibration.as_ref().map(|calibration| calibration.upload.clone()))
+    }
+
+    fn status(&self, now: DeviceTime, link: LinkCounters) -> Status {
+        let counters = self.acquisition.counters();
+        let settings = self.acquisition.settings();
+        #[expect(clippy::cast_possible_truncation, reason = "at most 12 gages")]
+        let gages = GAGES as u8;
+        Status {
+            gages,
+            clock: self.clock,
+            adc: self.acquisition.state(),
+            data_rate: settings.data_rate,
+            gain: settings.gain,
+            stream: self.stream,
+            calibration: self.calibration.as_ref().map(|calibration| calibration.upload.identity),
+            trial: self.trial.status(),
+            uptime: now,
+            conversions: counters.read,
+            lost_conversions: counters.lost,
+            corrupted_conversions: counters.corrupted,
+            dropped_frames: link.dropped_frames,
+            broken_frames: link.broken_frames,
+        }
+    }
+}
+
+/// Which channels stand at an end of their range: bit k for gage k.
+fn saturated_channels<const GAGES: usize>(codes: &[AdcCode; GAGES]) -> u16 {
+    codes.iter().enumerate().fold(0, |mask, (gage, code)| mask | (u16::from(code.is_saturated()) << gage))
+}

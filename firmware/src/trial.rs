@@ -1,0 +1,211 @@
+//! A trial: one load at one constant arm, turned at random, summed up sample by sample and then solved (paper, figure 2).
+//!
+//! The sums are large, so a trial owns them through a handle (`Store`: a static reference on the board, a box in the
+//! simulator). A [`SolveJob`] takes the handle out of the trial: the solution is computed with no hold on the sample
+//! path, and the handle comes back by [`Trial::finish`].
+
+use core::ops::DerefMut;
+
+use ftcal_shared::estimation::moments::Moments;
+use ftcal_shared::estimation::shape::{TrialSolution, solve_trial};
+use ftcal_shared::refusal::Refusal;
+use ftcal_shared::units::{AdcCode, SampleIndex};
+use ftcal_shared::wire::{GageList, Rejection, Solution, TrialPhase, TrialStatus};
+
+/// The trial of the sensor.
+#[derive(Debug)]
+pub struct Trial<Store, const GAGES: usize, const HIGHER: usize> {
+    /// Absent while a [`SolveJob`] has it.
+    store: Option<Store>,
+    phase: TrialPhase,
+    rank: u8,
+    /// Samples rejected because a channel stood at the end of its range.
+    saturated: u32,
+    used: u32,
+    offered: u32,
+    first: SampleIndex,
+}
+
+/// A stopped trial on its way to a solution.
+#[derive(Debug)]
+pub struct SolveJob<Store, const GAGES: usize, const HIGHER: usize> {
+    store: Store,
+    rank: u8,
+    saturated: u32,
+}
+
+impl<Store, const GAGES: usize, const HIGHER: usize> Trial<Store, GAGES, HIGHER>
+where
+    Store: DerefMut<Target = Moments<GAGES, HIGHER>>,
+{
+    /// No trial yet, with room for one.
+    pub const fn new(store: Store) -> Self {
+        Self {
+            store: Some(store),
+            phase: TrialPhase::None,
+            rank: 0,
+            saturated: 0,
+            used: 0,
+            offered: 0,
+            first: SampleIndex::new(0),
+        }
+    }
+
+    /// State of the trial.
+    pub const fn status(&self) -> TrialStatus {
+        TrialStatus {
+            phase: self.phase,
+            rank: self.rank,
+            used: self.used,
+            saturated: self.saturated,
+            first: self.first,
+            offered: self.offered,
+        }
+    }
+
+    /// Starts a trial; the sums of the one before are dropped.
+    ///
+    /// # Errors
+    ///
+    /// [`Rejection::TrialBusy`], [`Rejection::UnsupportedRank`].
+    pub fn start(&mut self, rank: u8) -> Result<(), Rejection> {
+        self.require_idle()?;
+        if !(2..=3).contains(&rank) || usize::from(rank) > GAGES {
+            return Err(Rejection::UnsupportedRank);
+        }
+        self.rank = rank;
+        self.saturated = 0;
+        self.used = 0;
+        self.offered = 0;
+        self.phase = TrialPhase::Running;
+        Ok(())
+    }
+
+    /// The converter's settings may change between trials only: one trial is in one unit of counts.
+    ///
+    /// # Errors
+    ///
+    /// [`Rejection::TrialBusy`].
+    pub const fn require_idle(&self) -> Result<(), Rejection> {
+        match self.phase {
+            TrialPhase::Running | TrialPhase::Solving => Err(Rejection::TrialBusy),
+            TrialPhase::None | TrialPhase::Stopped => Ok(()),
+        }
+    }
+
+    /// Takes in one sample while the trial runs. A sample with a channel at the end of its range is counted, not used:
+    /// its code is no measurement.
+    pub fn offer(&mut self, index: SampleIndex, codes: &[AdcCode; GAGES]) {
+        if self.phase != TrialPhase::Running {
+            return;
+        }
+        let Some(moments) = self.store.as_mut() else { return };
+        if self.offered == 0 {
+            self.first = index;
+        }
+        self.offered = self.offered.saturating_add(1);
+        if codes.iter().any(|code| code.is_saturated()) {
+            self.saturated = self.saturated.saturating_add(1);
+            return;
+        }
+        if self.used == 0 {
+            // The first sample is the pivot, which takes the offset out of all sums.
+            moments.restart(*codes);
+        }
+        match moments.push(codes) {
+            Ok(()) => self.used = self.used.saturating_add(1),
+            // The sums are as full as they may get: what they hold stays good.
+            Err(_) => self.phase = TrialPhase::Stopped,
+        }
+    }
+
+    /// Stops the trial; stopping a stopped trial changes nothing, so that the request may be repeated.
+    ///
+    /// # Errors
+    ///
+    /// [`Rejection::NoTrial`], [`Rejection::TrialBusy`] while it is being solved.
+    pub const fn stop(&mut self) -> Result<TrialStatus, Rejection> {
+        match self.phase {
+            TrialPhase::None => Err(Rejection::NoTrial),
+            TrialPhase::Solving => Err(Rejection::TrialBusy),
+            TrialPhase::Running | TrialPhase::Stopped => {
+                self.phase = TrialPhase::Stopped;
+                Ok(self.status())
+            }
+        }
+    }
+
+    /// Hands the stopped trial out to be solved.
+    ///
+    /// # Errors
+    ///
+    /// [`Rejection::NoTrial`], [`Rejection::TrialBusy`] while it runs or is being solved.
+    pub fn take_for_solving(&mut self) -> Result<SolveJob<Store, GAGES, HIGHER>, Rejection> {
+        match self.phase {
+            TrialPhase::None => Err(Rejection::NoTrial),
+            TrialPhase::Running | TrialPhase::Solving => Err(Rejection::TrialBusy),
+            TrialPhase::Stopped => {
+                let mut store = self.store.take().ok_or(Rejection::TrialBusy)?;
+                if self.used == 0 {
+                    // Nothing was taken in: the sums of the trial before must not be solved in its place.
+                    store.restart([AdcCode::ZERO; GAGES]);
+                }
+                self.phase = TrialPhase::Solving;
+                Ok(SolveJob { store, rank: self.rank, saturated: self.saturated })
+            }
+        }
+    }
+
+    /// Takes back what [`Trial::take_for_solving`] handed out; the trial may be solved again.
+    pub fn finish(&mut self, job: SolveJob<Store, GAGES, HIGHER>) {
+        self.store = Some(job.store);
+        self.phase = TrialPhase::Stopped;
+    }
+}
+
+impl<Store, const GAGES: usize, const HIGHER: usize> SolveJob<Store, GAGES, HIGHER>
+where
+    Store: DerefMut<Target = Moments<GAGES, HIGHER>>,
+{
+    /// Solves the trial. Takes millions of instructions: not for the sample path.
+    ///
+    /// # Errors
+    ///
+    /// Every refusal of [`solve_trial`]; [`Refusal::Saturated`] where saturation has left too few samples.
+    pub fn solve(&mut self) -> Result<Solution, Refusal> {
+        self.store.settle();
+        let solution = match self.rank {
+            2 => solve_trial::<GAGES, HIGHER, 2>(&self.store).and_then(|solved| on_the_wire(&solved)),
+            _ => solve_trial::<GAGES, HIGHER, 3>(&self.store).and_then(|solved| on_the_wire(&solved)),
+        };
+        match solution {
+            Err(Refusal::TooFewSamples { .. }) if self.saturated > 0 => {
+                Err(Refusal::Saturated { samples: u64::from(self.saturated) })
+            }
+            other => other,
+        }
+    }
+}
+
+fn on_the_wire<const GAGES: usize, const RANK: usize>(
+    solved: &TrialSolution<GAGES, RANK>,
+) -> Result<Solution, Refusal> {
+    #[expect(clippy::cast_possible_truncation, reason = "at most 12 gages and rank 3")]
+    let unsupported = Refusal::UnsupportedDimensions { gages: GAGES as u8, rank: RANK as u8 };
+    let mut shape_counts_per_load = heapless::Vec::new();
+    for row in 0..RANK {
+        for gage in 0..GAGES {
+            let element = solved.shape_counts_per_load[(row, gage)];
+            shape_counts_per_load.push(element).map_err(|_| unsupported)?;
+        }
+    }
+    Ok(Solution {
+        #[expect(clippy::cast_possible_truncation, reason = "rank 2 or 3")]
+        rank: RANK as u8,
+        shape_counts_per_load,
+        bias_counts: GageList::from_slice(solved.bias_counts.as_slice()).map_err(|_| unsupported)?,
+        eigenvalues: GageList::from_slice(solved.eigenvalues.as_slice()).map_err(|_| unsupported)?,
+        noise_counts: solved.noise_variance.map(libm::sqrt),
+        samples: u32::try_from(solved.samples).unwrap_or(u32::MAX),
+    })
+}
