@@ -22,6 +22,8 @@
 
 pub mod acquisition;
 pub mod adc;
+pub mod long_count;
 pub mod sensor;
 pub mod session;
 pub mod trial;
+pub mod tunnel;

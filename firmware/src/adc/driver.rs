@@ -31,7 +31,7 @@ const MODULATOR_START_US: u32 = 74;
 
 /// One conversion of all channels, taken at the same instant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(target_os = "none", derive(defmt::Format))]
 pub struct Conversion {
     /// What the converter said of itself, free of the faults that [`Ads131m08::read_conversion`] reports.
     ///

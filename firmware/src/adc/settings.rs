@@ -4,7 +4,7 @@ use ftcal_shared::units::{DataRate, Gain};
 
 /// A set of channels: bit n stands for channel n.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(target_os = "none", derive(defmt::Format))]
 pub struct ChannelMask(u8);
 
 impl ChannelMask {
@@ -35,7 +35,7 @@ impl Default for ChannelMask {
 
 /// How the converter is to work, the same for all channels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(target_os = "none", derive(defmt::Format))]
 pub struct AdcSettings {
     /// Conversions a second.
     pub data_rate: DataRate,

@@ -18,12 +18,12 @@ const WORD_LENGTH: u16 = 0b11 << 8;
 /// The flags for a corrupted command, a changed register map and a resynchronization are cleared by being read, so each
 /// status tells what happened since the one before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(target_os = "none", derive(defmt::Format))]
 pub struct Status(u16);
 
 /// The converter's word format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(target_os = "none", derive(defmt::Format))]
 pub enum WordLength {
     /// 16 bits, codes truncated.
     Bits16,

@@ -1,0 +1,86 @@
+//! The processor's clock: 168 MHz from the crystal, or the best there is, found with bounded waits.
+//!
+//! The HAL waits for an oscillator as long as it takes. A board whose crystal does not start would be dead, and a sensor
+//! that says "my crystal is broken" is worth more. So each clock is first tried here, for at most [`CRYSTAL_START_MICROS`] and
+//! [`PLL_LOCK_MICROS`], and the HAL is then asked for one that is known to start:
+//!
+//! | tried | processor | reported as |
+//! |---|---|---|
+//! | crystal and PLL | 168 MHz | [`ClockSource::Crystal`] |
+//! | internal oscillator and PLL | 168 MHz ± 1 % | [`ClockSource::InternalFallback`] |
+//! | internal oscillator | 16 MHz ± 1 % | [`ClockSource::InternalFallback`] |
+//!
+//! The last needs no ready bit at all: the processor runs on it since its reset. The emulator, which models no ready bits, ends
+//! there.
+
+use ftcal_shared::wire::ClockSource;
+use stm32f4xx_hal::pac::RCC;
+use stm32f4xx_hal::rcc::{Config, HSI, Rcc, RccExt};
+use stm32f4xx_hal::time::Hertz;
+
+/// Frequency of the crystal.
+pub(crate) const CRYSTAL_HERTZ: u32 = 8_000_000;
+
+/// The fastest that the chip allows.
+const PROCESSOR_HERTZ: u32 = 168_000_000;
+
+/// How long the crystal may take. Its data sheet says 2 ms, typically; ST's own library gives it as long as this.
+const CRYSTAL_START_MICROS: u32 = 100_000;
+
+/// How long the PLL may take: 300 µs at most, by the data sheet.
+const PLL_LOCK_MICROS: u32 = 1_000;
+
+/// The PLL's input, in the range of 1 to 2 MHz that it takes.
+const PLL_INPUT_HERTZ: u32 = 2_000_000;
+
+/// Sets the clocks up, and says where they come from.
+pub(super) fn start(rcc: RCC) -> (Rcc, ClockSource) {
+    let full_speed = Hertz::from_raw(PROCESSOR_HERTZ);
+    let (config, source) = if crystal_starts(&rcc) && pll_locks(&rcc, true) {
+        (Config::hse(Hertz::from_raw(CRYSTAL_HERTZ)).sysclk(full_speed), ClockSource::Crystal)
+    } else if pll_locks(&rcc, false) {
+        (Config::hsi().sysclk(full_speed), ClockSource::InternalFallback)
+    } else {
+        (Config::hsi(), ClockSource::InternalFallback)
+    };
+    (rcc.freeze(config), source)
+}
+
+/// Leaves the crystal on if it does start.
+fn crystal_starts(rcc: &RCC) -> bool {
+    rcc.cr().modify(|_, w| w.hseon().set_bit());
+    let starts = happens_within(CRYSTAL_START_MICROS, || rcc.cr().read().hserdy().bit_is_set());
+    if !starts {
+        rcc.cr().modify(|_, w| w.hseon().clear_bit());
+    }
+    starts
+}
+
+/// Leaves the PLL off, for it to be set up and started by the HAL.
+fn pll_locks(rcc: &RCC, from_crystal: bool) -> bool {
+    let source_hertz = if from_crystal { CRYSTAL_HERTZ } else { HSI };
+    #[expect(clippy::cast_possible_truncation, reason = "four or eight")]
+    let divisor = (source_hertz / PLL_INPUT_HERTZ) as u8;
+    #[expect(unsafe_code, reason = "the register takes divisors from 2 to 63, which its type does not say")]
+    rcc.pllcfgr().modify(|_, w| {
+        // The other fields keep their reset values: the oscillator runs at the input times 192, within its range.
+        // SAFETY: the divisor is in the register's range, and the PLL is off.
+        unsafe { w.pllsrc().bit(from_crystal).pllm().bits(divisor) }
+    });
+    rcc.cr().modify(|_, w| w.pllon().set_bit());
+    let locks = happens_within(PLL_LOCK_MICROS, || rcc.cr().read().pllrdy().bit_is_set());
+    rcc.cr().modify(|_, w| w.pllon().clear_bit());
+    let stops = happens_within(PLL_LOCK_MICROS, || rcc.cr().read().pllrdy().bit_is_clear());
+    locks && stops
+}
+
+/// Waits for something on the internal oscillator, on which the processor runs until the clocks are set up.
+fn happens_within(micros: u32, mut condition: impl FnMut() -> bool) -> bool {
+    for _ in 0..micros {
+        if condition() {
+            return true;
+        }
+        cortex_m::asm::delay(HSI / 1_000_000);
+    }
+    condition()
+}

@@ -1,0 +1,76 @@
+//! The converter on its bus: SPI2, chip select, and data-ready by interrupt.
+
+use core::convert::Infallible;
+
+use embedded_hal::spi::{ErrorType, MODE_1, Operation, SpiDevice};
+use embedded_hal_bus::spi::{DeviceError, ExclusiveDevice};
+use ftcal_shared::units::DeviceTime;
+use stm32f4xx_hal::gpio::gpiob::Parts;
+use stm32f4xx_hal::gpio::{Edge, ExtiPin, Input, Output, PB8, PB9, Speed};
+use stm32f4xx_hal::pac::{EXTI, SPI2, SYSCFG, USART3};
+use stm32f4xx_hal::rcc::Rcc;
+use stm32f4xx_hal::spi::{self, Spi, SpiExt};
+use stm32f4xx_hal::syscfg::SysCfgExt;
+use stm32f4xx_hal::time::Hertz;
+
+use super::time_base::Delay;
+
+/// The converter takes 25 MHz; the nearest below that the bus can do is 21 MHz, half of its clock.
+const CLOCK_HERTZ: u32 = 21_000_000;
+
+/// The converter's bus.
+pub struct Converter {
+    device: Device,
+}
+
+/// The bus with its one chip select.
+type Device = ExclusiveDevice<Spi<SPI2>, PB9<Output>, Delay>;
+
+impl ErrorType for Converter {
+    type Error = DeviceError<spi::Error, Infallible>;
+}
+
+impl SpiDevice for Converter {
+    fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), Self::Error> {
+        self.device.transaction(operations)
+    }
+}
+
+/// The converter's data-ready line.
+pub(crate) struct DataReady {
+    line: PB8<Input>,
+}
+
+impl DataReady {
+    /// Acknowledges the interrupt. `None` where the line does not stand low: then the conversion was read meanwhile, as happens
+    /// while the converter is being started, and this interrupt is an echo of it.
+    pub(crate) fn announced(&mut self, now: DeviceTime) -> Option<DeviceTime> {
+        self.line.clear_interrupt_pending_bit();
+        self.line.is_low().then_some(now)
+    }
+}
+
+/// Connects the converter. (The serial line is the emulated carrier's.)
+pub(super) fn connect(
+    spi: SPI2,
+    _usart: USART3,
+    pins: Parts,
+    mut exti: EXTI,
+    syscfg: SYSCFG,
+    rcc: &mut Rcc,
+) -> (Converter, DataReady) {
+    let clock = pins.pb13.into_alternate::<5>().speed(Speed::VeryHigh);
+    let miso = pins.pb14.into_alternate::<5>().speed(Speed::VeryHigh);
+    let mosi = pins.pb15.into_alternate::<5>().speed(Speed::VeryHigh);
+    let bus = spi.spi((Some(clock), Some(miso), Some(mosi)), MODE_1, Hertz::from_raw(CLOCK_HERTZ), rcc);
+    let mut select = pins.pb9.into_push_pull_output();
+    select.set_high();
+    let Ok(device) = ExclusiveDevice::new(bus, select, Delay);
+
+    // Pulled up, so that a converter that is not there does not announce anything.
+    let mut line = pins.pb8.into_pull_up_input();
+    line.make_interrupt_source(&mut syscfg.constrain(rcc));
+    line.trigger_on_edge(&mut exti, Edge::Falling);
+    line.enable_interrupt(&mut exti);
+    (Converter { device }, DataReady { line })
+}

@@ -1,0 +1,146 @@
+//! The tunnel: a converter's SPI bus and data-ready line, carried over a serial line.
+//!
+//! The emulator has no converter, so the emulated image takes its bus through a second serial line to a converter model
+//! on the host. What travels are whole chip-select frames, one question and one answer each, and the data-ready signal:
+//!
+//! | from | message | meaning |
+//! |---|---|---|
+//! | board | [`Transfer`] | while chip-select is low, these bytes go to the converter |
+//! | converter | [`FromConverter::Transferred`] | these came back; `number` is that of the question |
+//! | converter | [`FromConverter::DataReady`] | the data-ready line fell, at this time of the converter's clock |
+//!
+//! Each message is framed as on the host link (`wire::frame`: postcard, CRC-32, byte stuffing), so a disturbed line loses
+//! messages but never alters one.
+//!
+//! # What may be lost
+//!
+//! - A question or its answer: the board waits [`ANSWER_MICROS`] and reports a bus error. An answer that comes later than that
+//!   bears another number than the next question, and is dropped.
+//! - A data-ready: the converter repeats itself after [`UNREAD_MICROS`], with the next conversion.
+//!
+//! # Pace
+//!
+//! The host end converts no faster than the converter's data rate, and announces the next conversion only once the last one
+//! was read or [`UNREAD_MICROS`] have passed. A slow machine therefore slows the converter's clock instead of losing
+//! conversions; the time in [`FromConverter::DataReady`] is that clock, and it is the sample's time.
+
+use embedded_hal::spi::Operation;
+use ftcal_shared::units::DeviceTime;
+use serde::{Deserialize, Serialize};
+
+/// The most bytes in one chip-select frame; the converter's own frames have 30.
+pub const MAX_TRANSFER: usize = 64;
+
+/// How long the board waits for the answer to a transfer.
+pub const ANSWER_MICROS: u64 = 200_000;
+
+/// How long the converter waits for a conversion to be read, before it goes on without.
+pub const UNREAD_MICROS: u64 = 500_000;
+
+/// The bytes of one chip-select frame, in one direction.
+pub type TransferBytes = heapless::Vec<u8, MAX_TRANSFER>;
+
+/// One chip-select frame.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Transfer {
+    /// Running number, by which an answer finds its question.
+    pub number: u8,
+    /// What goes to the converter, or what came back from it: as many bytes in either direction.
+    pub bytes: TransferBytes,
+}
+
+/// What the converter's end sends.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum FromConverter {
+    /// The answer to the transfer of the same number.
+    Transferred(Transfer),
+    /// A conversion is complete.
+    DataReady(DeviceTime),
+}
+
+/// What an SPI transaction sends, all its operations in a row; zeros during reads. `None` where it exceeds [`MAX_TRANSFER`].
+pub fn gather(operations: &[Operation<'_, u8>]) -> Option<TransferBytes> {
+    let mut bytes = TransferBytes::new();
+    for operation in operations {
+        let end = bytes.len() + clocked_bytes(operation);
+        match operation {
+            Operation::Write(sent) | Operation::Transfer(_, sent) => bytes.extend_from_slice(sent).ok()?,
+            Operation::TransferInPlace(sent) => bytes.extend_from_slice(sent).ok()?,
+            Operation::Read(_) | Operation::DelayNs(_) => {}
+        }
+        bytes.resize(end, 0).ok()?;
+    }
+    Some(bytes)
+}
+
+/// Hands what came back to the operations that it belongs to.
+pub fn scatter(received: &[u8], operations: &mut [Operation<'_, u8>]) {
+    let mut rest = received;
+    for operation in operations {
+        let (now, later) = rest.split_at_checked(clocked_bytes(operation)).unwrap_or((rest, &[]));
+        if let Operation::Read(bytes) | Operation::Transfer(bytes, _) | Operation::TransferInPlace(bytes) =
+            operation
+        {
+            for (byte, &value) in bytes.iter_mut().zip(now) {
+                *byte = value;
+            }
+        }
+        rest = later;
+    }
+}
+
+fn clocked_bytes(operation: &Operation<'_, u8>) -> usize {
+    match operation {
+        Operation::Read(bytes) | Operation::TransferInPlace(bytes) => bytes.len(),
+        Operation::Write(bytes) => bytes.len(),
+        Operation::Transfer(received, sent) => received.len().max(sent.len()),
+        Operation::DelayNs(_) => 0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use embedded_hal::spi::Operation;
+    use ftcal_shared::units::DeviceTime;
+    use ftcal_shared::wire::frame::{Decoder, encode};
+
+    use super::{FromConverter, MAX_TRANSFER, Transfer, TransferBytes, gather, scatter};
+
+    #[test]
+    fn every_message_arrives_as_it_was_sent() {
+        let longest = Transfer { number: 255, bytes: TransferBytes::from_array([0; MAX_TRANSFER]) };
+        let messages = [
+            FromConverter::Transferred(longest),
+            FromConverter::Transferred(Transfer { number: 0, bytes: TransferBytes::new() }),
+            FromConverter::DataReady(DeviceTime::from_micros(u64::MAX)),
+        ];
+        let mut decoder = Decoder::new();
+        for message in messages {
+            let frame = encode(&message).unwrap();
+            let decoded = frame.iter().filter_map(|&byte| decoder.push::<FromConverter>(byte)).last();
+            assert_eq!(decoded, Some(Ok(message)));
+        }
+    }
+
+    #[test]
+    fn operations_are_sent_in_a_row_with_zeros_during_reads() {
+        let (mut read, mut long, mut in_place) = ([0xEE; 2], [0xEE; 3], [5, 6]);
+        let mut operations = [
+            Operation::Write(&[1, 2]),
+            Operation::Read(&mut read),
+            Operation::DelayNs(1000),
+            Operation::Transfer(&mut long, &[4]),
+            Operation::TransferInPlace(&mut in_place),
+        ];
+        assert_eq!(gather(&operations).unwrap(), [1, 2, 0, 0, 4, 0, 0, 5, 6]);
+        scatter(&[10, 11, 12, 13, 14, 15, 16, 17, 18], &mut operations);
+        assert_eq!((read, long, in_place), ([12, 13], [14, 15, 16], [17, 18]));
+    }
+
+    #[test]
+    fn a_longer_transaction_than_the_tunnel_carries_is_refused() {
+        let mut bytes = [0; MAX_TRANSFER + 1];
+        assert_eq!(gather(&[Operation::Read(&mut bytes)]), None);
+        assert_eq!(gather(&[Operation::Write(&[0; MAX_TRANSFER]), Operation::Write(&[0])]), None);
+    }
+}

@@ -1,0 +1,301 @@
+//! From trials to a calibration: what the host adds to the estimator (paper, figure 2 and eq. 14–20).
+//!
+//! ```text
+//! recordings ─► trial ─► alignment ─► handedness ─► fusion ─► matrix ─► calibration
+//!               shape    two ways      one way,      eq. 18,   eq. 5
+//!               per load to orient it  proven        20
+//! ```
+//!
+//! | module | step |
+//! |---|---|
+//! | [`trial`] | shape and bias of one trial, by the shared estimator |
+//! | [`motion`] | the recovered motion, and what it says about the trial's uncertainty |
+//! | [`known_load`] | rests at known loads; arms as squashing matrices |
+//! | [`alignment`] | orientation from known loads |
+//! | [`turning`] | orientation from the sense of turning |
+//! | [`consistency`] | what trials allow each other |
+//! | [`handedness`] | rotation or mirror image, proven or refused |
+//! | [`fusion`] | true shape from several arms |
+//! | [`matrix`] | calibration matrix of a shape |
+//! | [`least_squares`] | the paper's reference: known loads alone (eq. 3) |
+//! | [`refusal`] | why there is no calibration |
+//! | [`evidence`] | all of this from a session file |
+//! | [`upload`] | the calibration as the sensor takes it |
+//!
+//! Frames: a trial's own frame is arbitrary (orthogonal to the sensor frame, perhaps mirrored); everything oriented is
+//! in the sensor frame. Torques are about the origin of the sensor frame, torque = arm × force.
+
+pub mod alignment;
+pub mod consistency;
+pub mod evidence;
+pub mod fusion;
+pub mod handedness;
+pub mod known_load;
+pub mod least_squares;
+pub mod matrix;
+pub mod motion;
+pub mod refusal;
+pub mod trial;
+pub mod turning;
+pub mod upload;
+
+#[cfg(test)]
+mod end_to_end;
+#[cfg(test)]
+pub(crate) mod synthetic;
+
+use ftcal_shared::units::Dof;
+use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
+
+use self::fusion::Stack;
+use self::known_load::LoadCase;
+use self::matrix::matrix_of_shape;
+use self::motion::TrialUncertainty;
+use self::trial::{SampleCounts, TrialShape};
+use self::turning::Turned;
+
+pub use self::refusal::CalibrationRefusal;
+
+/// The largest predicted error of the fused shape, relative, that is still a calibration.
+const LARGEST_RELATIVE_ERROR: f64 = 0.2;
+
+/// How far the biases of trials may be apart, as a share of the signal of their loads, beyond their uncertainty.
+const LARGEST_BIAS_DISAGREEMENT: f64 = 0.05;
+
+/// How many standard deviations beyond that count as a disagreement.
+const CONTRADICTION: f64 = 5.0;
+
+/// One trial, solved: all that the host needs of it.
+#[derive(Clone, Debug)]
+pub struct SolvedTrial {
+    /// What hung on the sensor.
+    pub case: LoadCase,
+    /// The shape found, by the host or by the device.
+    pub shape: TrialShape,
+    /// How certain it is.
+    pub uncertainty: TrialUncertainty,
+    /// The sense of turning, where the session states one.
+    pub turned: Option<Turned>,
+}
+
+/// A complete calibration, in the sensor frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Calibration {
+    /// What the sensor measures.
+    pub dof: Dof,
+    /// How it was found.
+    pub method: Method,
+    /// Local gravity, m/s².
+    pub gravity: f64,
+    /// C (m × p): newton and newton metre per count.
+    pub matrix: DMatrix<f64>,
+    /// b (p), counts.
+    pub bias_counts: DVector<f64>,
+    /// Where the bias comes from.
+    pub bias: BiasOrigin,
+    /// S̃ (m × p): counts per newton and per newton metre.
+    pub shape: DMatrix<f64>,
+    /// That the sensor frame is no mirror image.
+    pub handedness: Handedness,
+    /// The part of the trials' shapes that the fused shape does not explain, relative; zero for a single trial.
+    pub fusion_residual: f64,
+    /// The trials.
+    pub trials: Vec<TrialRecord>,
+}
+
+/// How a calibration is found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Method {
+    /// Shape from motion.
+    Sfm,
+    /// Least squares on the known loads alone (eq. 3).
+    LeastSquares,
+}
+
+/// Where the bias of a calibration comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum BiasOrigin {
+    /// Estimated with the shape.
+    Estimated,
+    /// Taken as zero: the known loads alone do not determine it.
+    TakenAsZero,
+}
+
+/// Whether the calibration may be a mirror image. There is one value, because a calibration that may be is refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Handedness {
+    /// The evidence leaves no other handedness.
+    Proven,
+}
+
+/// What proved the handedness of one trial.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum HandednessEvidence {
+    /// Its known loads.
+    KnownLoads,
+    /// The sense in which the load turned.
+    Turning,
+    /// That it fits together with the other trials in this way only.
+    Fusion,
+}
+
+/// What a calibration file keeps of one trial.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrialRecord {
+    /// The recording, as the session names it.
+    pub recording: String,
+    /// The mass, kilogram.
+    pub mass_kg: f64,
+    /// The moment arm, metre; empty for force sensors.
+    pub arm_m: Vec<f64>,
+    /// How many known loads took part.
+    pub known_loads: u64,
+    /// What the trial's motion told; absent where only its known loads were used.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub solution: Option<SolutionRecord>,
+}
+
+/// What the motion of one trial told.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SolutionRecord {
+    /// How many samples took part.
+    pub samples: SampleCounts,
+    /// Eigenvalues of the covariance of the codes (p), descending, counts².
+    pub eigenvalues: Vec<f64>,
+    /// Noise of one channel, counts; `null` where nothing redundant tells it.
+    pub noise_counts: Option<f64>,
+    /// The trial's own bias (p), counts.
+    pub bias_counts: Vec<f64>,
+    /// Root mean square angle between known and recovered directions, degrees.
+    pub alignment_residual_deg: f64,
+    /// What proved that the trial is no mirror image.
+    pub handedness: HandednessEvidence,
+}
+
+/// Calibrates by shape from motion.
+///
+/// # Errors
+///
+/// Every [`CalibrationRefusal`] but those of least squares.
+pub fn calibrate(dof: Dof, gravity: f64, trials: &[SolvedTrial]) -> Result<Calibration, CalibrationRefusal> {
+    let gages = trials.first().map_or(0, |trial| trial.shape.gages());
+    if gages < dof.count() {
+        return Err(CalibrationRefusal::TooFewGages { gages, need: dof.count() });
+    }
+    let mut alignments = Vec::with_capacity(trials.len());
+    for (index, SolvedTrial { case, shape, uncertainty, .. }) in trials.iter().enumerate() {
+        alignments.push(alignment::align(index, case, shape, *uncertainty)?);
+    }
+    let arms = Stack::new(dof, &trials.iter().map(|trial| &trial.case.arm_m).collect::<Vec<_>>())?;
+    let proven = handedness::prove(trials, &alignments, &arms, gravity)?;
+    let relative_error = proven.consistency.relative_error;
+    let certain = relative_error <= LARGEST_RELATIVE_ERROR;
+    if !certain {
+        return Err(CalibrationRefusal::FusionUncertain { relative_error, need: LARGEST_RELATIVE_ERROR });
+    }
+    let bias_counts = common_bias(trials)?;
+    let shapes: Vec<DMatrix<f64>> = proven.oriented.iter().map(|trial| trial.shape.clone()).collect();
+    let fused = arms.fuse(&shapes);
+    require_response(&fused.shape, &arms.lengths, relative_error)?;
+    let matrix = matrix_of_shape(&fused.shape).map_err(|_| CalibrationRefusal::ShapeRankDeficient)?;
+    let records = trials.iter().zip(&alignments).zip(proven.hands.iter().zip(&proven.evidence)).map(
+        |((trial, alignment), (&hand, &evidence))| TrialRecord {
+            solution: Some(SolutionRecord {
+                samples: trial.shape.samples.clone(),
+                eigenvalues: trial.shape.eigenvalues.iter().copied().collect(),
+                noise_counts: trial.shape.noise_counts,
+                bias_counts: trial.shape.bias_counts.iter().copied().collect(),
+                alignment_residual_deg: alignment.residual_deg(hand),
+                handedness: evidence,
+            }),
+            ..trial.case.record()
+        },
+    );
+    Calibration {
+        dof,
+        method: Method::Sfm,
+        gravity,
+        matrix,
+        bias_counts,
+        bias: BiasOrigin::Estimated,
+        shape: fused.shape,
+        handedness: Handedness::Proven,
+        fusion_residual: fused.residual,
+        trials: records.collect(),
+    }
+    .finite()
+}
+
+impl Calibration {
+    /// The number of gages, p.
+    pub fn gages(&self) -> usize {
+        self.matrix.ncols()
+    }
+
+    /// The wrench C(z − b) of one sample in counts: newton and newton metre, in the order of the DOF's axes.
+    pub fn wrench(&self, counts: &DVector<f64>) -> DVector<f64> {
+        &self.matrix * (counts - &self.bias_counts)
+    }
+
+    fn finite(self) -> Result<Self, CalibrationRefusal> {
+        let numbers =
+            self.matrix.iter().chain(&self.shape).chain(&self.bias_counts).chain([&self.fusion_residual]);
+        if numbers.copied().all(f64::is_finite) { Ok(self) } else { Err(CalibrationRefusal::NonFinite) }
+    }
+}
+
+impl LoadCase {
+    fn record(&self) -> TrialRecord {
+        TrialRecord {
+            recording: self.name.clone(),
+            mass_kg: self.mass_kg,
+            arm_m: self.arm_m.iter().copied().collect(),
+            known_loads: self.known_loads.len() as u64,
+            solution: None,
+        }
+    }
+}
+
+/// The mean of the trials' biases, weighted by their samples. All trials are of one sensor: their biases must agree.
+fn common_bias(trials: &[SolvedTrial]) -> Result<DVector<f64>, CalibrationRefusal> {
+    let weight = |trial: &SolvedTrial| trial.shape.samples.used as f64;
+    let weights: f64 = trials.iter().map(weight).sum();
+    let mean =
+        trials.iter().map(|trial| &trial.shape.bias_counts * weight(trial)).sum::<DVector<f64>>() / weights;
+    for (index, trial) in trials.iter().enumerate() {
+        let signal_counts = trial.shape.shape_counts_per_load.norm() / (trial.shape.rank() as f64).sqrt();
+        let counts = (&trial.shape.bias_counts - &mean).norm();
+        let allowed = LARGEST_BIAS_DISAGREEMENT + CONTRADICTION * trial.uncertainty.bias;
+        let agrees = counts <= allowed * signal_counts;
+        if !agrees {
+            return Err(CalibrationRefusal::BiasesDisagree { trial: index, counts, signal_counts });
+        }
+    }
+    Ok(mean)
+}
+
+/// Refuses a shape with a component to which the gages respond no more than its error could feign.
+fn require_response(
+    shape: &DMatrix<f64>,
+    lengths: &DVector<f64>,
+    relative_error: f64,
+) -> Result<(), CalibrationRefusal> {
+    let mut scaled = shape.clone();
+    for (mut row, &length) in scaled.row_iter_mut().zip(lengths) {
+        row *= length;
+    }
+    // The error is spread over all m components.
+    let feigned = relative_error * scaled.norm() / (scaled.nrows() as f64).sqrt();
+    if scaled.singular_values().min() > feigned {
+        Ok(())
+    } else {
+        Err(CalibrationRefusal::ShapeRankDeficient)
+    }
+}

@@ -1,0 +1,394 @@
+//! The calibration file: a calibration as JSON, with units, frame and sign convention in words and a checksum.
+//!
+//! Numbers are written with as many digits as reading them back exactly needs. The checksum is the CRC-32 (ISO-HDLC, as
+//! in zip) of the file's canonical form: the same object without the checksum, in this order of fields, without white
+//! space, as [`serde_json`] prints it. Layout and order of the file itself may thus change, and no number may.
+//!
+//! Everything is checked on reading: format, fields, dimensions, that every number is finite, that matrix and shape
+//! belong together, and the checksum. Nothing is ever filled in.
+
+mod layout;
+
+use std::io::{self, Write};
+use std::path::Path;
+
+use crc::{CRC_32_ISO_HDLC, Crc};
+use ftcal_shared::units::{Dof, MAX_GAGES};
+use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
+
+use crate::calibration::{BiasOrigin, Calibration, Handedness, Method, TrialRecord};
+use crate::recording::{MIN_GAGES, shown};
+
+/// Name and version of the format.
+pub const FORMAT: &str = "ftcal-calibration-1";
+
+/// The frame in words.
+pub const FRAME: &str = "sensor frame, right-handed: the frame in which the session states directions and arms; \
+                         forces in newton along its axes, torques in newton metre about its origin";
+
+/// The sign convention in words.
+pub const SIGN_CONVENTION: &str = "wrench = matrix * (codes - bias_counts) is what acts on the sensor: a force along \
+                                   +x reads positive on x; torque = arm x force";
+
+/// How far matrix · shapeᵀ may be from the identity.
+const LARGEST_MISMATCH: f64 = 1e-6;
+
+const CHECKSUM: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
+
+/// Why a file is not a calibration.
+#[derive(Debug, thiserror::Error)]
+pub enum CalibrationFileError {
+    /// The file cannot be read at all.
+    #[error("{file}: cannot be read: {source}")]
+    Unreadable {
+        /// The file.
+        file: String,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The file is not JSON, or a field is missing, unknown or of another type.
+    #[error("{file}: expected a calibration file: {source}")]
+    Malformed {
+        /// The file.
+        file: String,
+        /// What was expected and found, with line and column.
+        source: serde_json::Error,
+    },
+    /// Another format, or a later version.
+    #[error("{file}: field `format`: expected `{FORMAT}`, found `{found}`")]
+    Format {
+        /// The file.
+        file: String,
+        /// What stands there.
+        found: String,
+    },
+    /// The numbers are not those that were written.
+    #[error(
+        "{file}: field `checksum`: expected `{expected}` for these contents, found `{found}`: the file was changed"
+    )]
+    Checksum {
+        /// The file.
+        file: String,
+        /// The checksum of what the file holds.
+        expected: String,
+        /// The checksum that it states.
+        found: String,
+    },
+    /// The contents contradict themselves.
+    #[error("{file}: field `{field}`: expected {expected}, found {found}")]
+    Inconsistent {
+        /// The file.
+        file: String,
+        /// The field.
+        field: &'static str,
+        /// What belongs there.
+        expected: String,
+        /// What stands there.
+        found: String,
+    },
+}
+
+/// The file as it is spelled.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    format: String,
+    dof: Dof,
+    method: Method,
+    gages: usize,
+    gravity: f64,
+    matrix: Vec<Vec<f64>>,
+    bias_counts: Vec<f64>,
+    bias: BiasOrigin,
+    shape: Vec<Vec<f64>>,
+    frame: String,
+    sign_convention: String,
+    handedness: Handedness,
+    fusion_residual: f64,
+    trials: Vec<TrialRecord>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    checksum: Option<String>,
+}
+
+/// Only what tells whether the rest can be understood.
+#[derive(Deserialize)]
+struct Header {
+    format: String,
+}
+
+/// Writes a calibration.
+///
+/// # Errors
+///
+/// Those of the destination.
+pub fn write(calibration: &Calibration, mut out: impl Write) -> io::Result<()> {
+    let file = File {
+        format: FORMAT.to_owned(),
+        dof: calibration.dof,
+        method: calibration.method,
+        gages: calibration.gages(),
+        gravity: calibration.gravity,
+        matrix: rows(&calibration.matrix),
+        bias_counts: calibration.bias_counts.iter().copied().collect(),
+        bias: calibration.bias,
+        shape: rows(&calibration.shape),
+        frame: FRAME.to_owned(),
+        sign_convention: SIGN_CONVENTION.to_owned(),
+        handedness: calibration.handedness,
+        fusion_residual: calibration.fusion_residual,
+        trials: calibration.trials.clone(),
+        checksum: None,
+    };
+    let checksum = Some(file.checksum().map_err(io::Error::from)?);
+    layout::write(&File { checksum, ..file }, &mut out)
+}
+
+/// Reads a calibration from a file.
+///
+/// # Errors
+///
+/// [`CalibrationFileError`].
+pub fn read(path: &Path) -> Result<Calibration, CalibrationFileError> {
+    let file = shown(path);
+    let bytes = std::fs::read(path)
+        .map_err(|source| CalibrationFileError::Unreadable { file: file.clone(), source })?;
+    parse(&bytes, &file)
+}
+
+/// Reads a calibration from the bytes of a file; `name` names it in errors.
+///
+/// # Errors
+///
+/// [`CalibrationFileError`].
+pub fn parse(bytes: &[u8], name: &str) -> Result<Calibration, CalibrationFileError> {
+    let malformed = |source| CalibrationFileError::Malformed { file: name.to_owned(), source };
+    let Header { format } = serde_json::from_slice(bytes).map_err(malformed)?;
+    if format != FORMAT {
+        return Err(CalibrationFileError::Format { file: name.to_owned(), found: format });
+    }
+    let file: File = serde_json::from_slice(bytes).map_err(malformed)?;
+    let expected = file.checksum().map_err(malformed)?;
+    match &file.checksum {
+        Some(found) if *found == expected => {}
+        found => {
+            let found = found.clone().unwrap_or_else(|| "nothing".to_owned());
+            return Err(CalibrationFileError::Checksum { file: name.to_owned(), expected, found });
+        }
+    }
+    file.calibration().map_err(|Inconsistency { field, expected, found }| {
+        CalibrationFileError::Inconsistent { file: name.to_owned(), field, expected, found }
+    })
+}
+
+/// A contradiction, before the file's name is known.
+struct Inconsistency {
+    field: &'static str,
+    expected: String,
+    found: String,
+}
+
+impl File {
+    /// The checksum of the canonical form.
+    fn checksum(&self) -> serde_json::Result<String> {
+        let canonical = serde_json::to_vec(&Self { checksum: None, ..self.clone() })?;
+        Ok(format!("crc32:{:08x}", CHECKSUM.checksum(&canonical)))
+    }
+
+    fn calibration(self) -> Result<Calibration, Inconsistency> {
+        let (components, gages) = (self.dof.count(), self.gages);
+        let fewest = components.max(MIN_GAGES);
+        if !(fewest..=MAX_GAGES).contains(&gages) {
+            let expected = format!("{fewest} to {MAX_GAGES}");
+            return Err(Inconsistency { field: "gages", expected, found: gages.to_string() });
+        }
+        let pulls = self.gravity > 0.0;
+        if !pulls {
+            let expected = "a positive number".to_owned();
+            return Err(Inconsistency { field: "gravity", expected, found: self.gravity.to_string() });
+        }
+        if self.bias_counts.len() != gages {
+            let expected = format!("{gages} numbers");
+            return Err(Inconsistency {
+                field: "bias_counts",
+                expected,
+                found: self.bias_counts.len().to_string(),
+            });
+        }
+        let matrix = checked_matrix("matrix", &self.matrix, components, gages)?;
+        let shape = checked_matrix("shape", &self.shape, components, gages)?;
+        let product = &matrix * shape.transpose();
+        let mismatch = (product - DMatrix::identity(components, components)).amax();
+        let belong_together = mismatch <= LARGEST_MISMATCH;
+        if !belong_together {
+            return Err(Inconsistency {
+                field: "shape",
+                expected: "the shape whose pseudo-inverse is `matrix`".to_owned(),
+                found: format!("one that is off by {mismatch:.3e}"),
+            });
+        }
+        Ok(Calibration {
+            dof: self.dof,
+            method: self.method,
+            gravity: self.gravity,
+            matrix,
+            bias_counts: DVector::from_vec(self.bias_counts),
+            bias: self.bias,
+            shape,
+            handedness: self.handedness,
+            fusion_residual: self.fusion_residual,
+            trials: self.trials,
+        })
+    }
+}
+
+fn checked_matrix(
+    field: &'static str,
+    rows: &[Vec<f64>],
+    components: usize,
+    gages: usize,
+) -> Result<DMatrix<f64>, Inconsistency> {
+    let inconsistent =
+        |expected: String, found: usize| Inconsistency { field, expected, found: found.to_string() };
+    if rows.len() != components {
+        return Err(inconsistent(format!("{components} rows"), rows.len()));
+    }
+    if let Some(row) = rows.iter().find(|row| row.len() != gages) {
+        return Err(inconsistent(format!("{gages} numbers a row"), row.len()));
+    }
+    Ok(DMatrix::from_row_iterator(components, gages, rows.iter().flatten().copied()))
+}
+
+/// The rows of a matrix.
+pub fn rows(matrix: &DMatrix<f64>) -> Vec<Vec<f64>> {
+    matrix.row_iter().map(|row| row.iter().copied().collect()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use ftcal_shared::units::Dof;
+    use nalgebra::{DMatrix, DVector};
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::{CalibrationFileError, parse, write};
+    use crate::calibration::matrix::matrix_of_shape;
+    use crate::calibration::trial::SampleCounts;
+    use crate::calibration::{
+        BiasOrigin, Calibration, Handedness, HandednessEvidence, Method, SolutionRecord, TrialRecord,
+    };
+
+    fn calibration(dof: Dof, gages: usize, seed: u64) -> Calibration {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let mut number = || random.random::<f64>() - 0.5;
+        let shape = DMatrix::from_fn(dof.count(), gages, |_, _| 1e5 * number());
+        Calibration {
+            dof,
+            method: Method::Sfm,
+            gravity: 9.81,
+            matrix: matrix_of_shape(&shape).expect("random rows are independent"),
+            bias_counts: DVector::from_fn(gages, |_, _| 1e4 * number()),
+            bias: BiasOrigin::Estimated,
+            shape,
+            handedness: Handedness::Proven,
+            fusion_residual: number().abs(),
+            trials: vec![TrialRecord {
+                recording: "arm \"1\".csv".to_owned(),
+                mass_kg: 1.0 / 3.0,
+                arm_m: vec![0.1, -0.2, number()],
+                known_loads: 2,
+                solution: Some(SolutionRecord {
+                    samples: SampleCounts::new(1000, 3),
+                    eigenvalues: vec![number().abs(); gages],
+                    noise_counts: None,
+                    bias_counts: vec![number(); gages],
+                    alignment_residual_deg: number().abs(),
+                    handedness: HandednessEvidence::Fusion,
+                }),
+            }],
+        }
+    }
+
+    fn written(calibration: &Calibration) -> String {
+        let mut bytes = Vec::new();
+        write(calibration, &mut bytes).expect("memory takes everything");
+        String::from_utf8(bytes).expect("JSON is UTF-8")
+    }
+
+    #[test]
+    fn what_is_written_reads_back_to_the_last_bit() {
+        for (seed, (dof, gages)) in [
+            (Dof::PlanarForce, 2),
+            (Dof::SpatialForce, 5),
+            (Dof::PlanarForceTorque, 4),
+            (Dof::SpatialForceTorque, 12),
+        ]
+        .into_iter()
+        .enumerate()
+        {
+            let calibration = calibration(dof, gages, seed as u64);
+            assert_eq!(
+                parse(written(&calibration).as_bytes(), "c.json").expect("a calibration"),
+                calibration
+            );
+        }
+    }
+
+    #[test]
+    fn layout_and_order_of_fields_do_not_matter() {
+        let calibration = calibration(Dof::SpatialForceTorque, 8, 5);
+        let value: serde_json::Value = serde_json::from_str(&written(&calibration)).expect("JSON");
+        let compact = value.to_string();
+        assert_eq!(parse(compact.as_bytes(), "c.json").expect("a calibration"), calibration);
+    }
+
+    #[test]
+    fn a_changed_digit_anywhere_is_noticed() {
+        let text = written(&calibration(Dof::SpatialForce, 4, 6));
+        let checksum = text.find("\"checksum\"").expect("a checksum");
+        for (at, _) in
+            text.char_indices().filter(|&(at, character)| at < checksum && character.is_ascii_digit())
+        {
+            let digit = text.as_bytes()[at];
+            let mut bytes = text.clone().into_bytes();
+            bytes[at] = if digit == b'5' { b'6' } else { b'5' };
+            // A last digit beyond the precision of f64 may read as the same number, which is no change.
+            match parse(&bytes, "c.json") {
+                Err(_) => {}
+                Ok(read) => assert_eq!(written(&read), text),
+            }
+        }
+    }
+
+    #[test]
+    fn every_truncation_is_refused() {
+        let text = written(&calibration(Dof::PlanarForce, 3, 7));
+        let whole = text.trim_end().len();
+        for end in 0..whole {
+            assert!(parse(&text.as_bytes()[..end], "c.json").is_err(), "{end} of {whole}");
+        }
+    }
+
+    #[test]
+    fn other_formats_and_contradictions_are_named() {
+        let good = calibration(Dof::PlanarForce, 3, 8);
+        let later = written(&good).replace("calibration-1", "calibration-2");
+        assert!(matches!(parse(later.as_bytes(), "c"), Err(CalibrationFileError::Format { .. })));
+
+        let field_of = |calibration: &Calibration| match parse(written(calibration).as_bytes(), "c") {
+            Err(CalibrationFileError::Inconsistent { field, .. }) => field,
+            other => panic!("{other:?}"),
+        };
+        assert_eq!(field_of(&Calibration { bias_counts: DVector::zeros(4), ..good.clone() }), "bias_counts");
+        assert_eq!(field_of(&Calibration { matrix: DMatrix::zeros(2, 13), ..good.clone() }), "gages");
+        assert_eq!(field_of(&Calibration { dof: Dof::SpatialForce, ..good.clone() }), "matrix");
+        assert_eq!(field_of(&Calibration { shape: DMatrix::zeros(2, 2), ..good.clone() }), "shape");
+        assert_eq!(field_of(&Calibration { shape: DMatrix::identity(2, 3), ..good.clone() }), "shape");
+        assert_eq!(field_of(&Calibration { gravity: -1.0, ..good.clone() }), "gravity");
+
+        let unknown = written(&good).replacen("\"dof\"", "\"extra\": 1, \"dof\"", 1);
+        assert!(matches!(parse(unknown.as_bytes(), "c"), Err(CalibrationFileError::Malformed { .. })));
+        let infinite = Calibration { fusion_residual: f64::INFINITY, ..good };
+        assert!(parse(written(&infinite).as_bytes(), "c").is_err(), "no infinity comes through");
+    }
+}

@@ -1,0 +1,15 @@
+//! The host side of ftcal, as a library: everything that the `ftcal` command does.
+
+pub mod calibration;
+pub mod calibration_file;
+pub mod cli;
+pub mod commands;
+pub mod demo;
+pub mod flash;
+pub mod link;
+pub mod place;
+pub mod plots;
+pub mod recording;
+pub mod remedy;
+pub mod session_file;
+pub mod simulator;

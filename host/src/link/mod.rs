@@ -1,0 +1,19 @@
+//! The host's end of the link to a sensor.
+//!
+//! | module | holds |
+//! |---|---|
+//! | [`transport`] | what a line is: bytes out, bytes in, a clock |
+//! | [`serial`] | a serial port or pseudo-terminal as a line |
+//! | [`client`] | requests with their responses, and the stream between them |
+//! | [`frame`] | samples as the host sees them: a wrench that is not there cannot be read as a number |
+//! | [`error`] | what can go wrong, the link's troubles apart from the sensor's own |
+//! | [`words`] | what a sensor reports, in words |
+//! | [`remedy`] | what to do about each error |
+
+pub mod client;
+pub mod error;
+pub mod frame;
+pub mod remedy;
+pub mod serial;
+pub mod transport;
+pub mod words;

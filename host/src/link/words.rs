@@ -1,0 +1,132 @@
+//! What a sensor reports, in words. What to do about errors is in [`super::remedy`].
+
+use std::fmt::Write;
+
+use ftcal_shared::fault::AdcFault;
+use ftcal_shared::wire::{AdcState, ClockSource, Rejection, StreamKind, TrialPhase, TrialStatus};
+
+use super::frame::NoWrench;
+use super::remedy;
+
+/// A firmware version.
+pub fn version([major, minor, patch]: [u8; 3]) -> String {
+    format!("{major}.{minor}.{patch}")
+}
+
+/// What is wrong with the converter.
+pub fn adc_fault(fault: AdcFault) -> String {
+    match fault {
+        AdcFault::Bus => "the bus to the converter reports an error".into(),
+        AdcFault::NotResponding => "no converter answers on the bus".into(),
+        AdcFault::WrongIdentity { id } => {
+            format!("the device on the bus is no ADS131M08: its identity register reads {id:#06x}")
+        }
+        AdcFault::ResetNotAcknowledged => "the converter does not acknowledge its reset".into(),
+        AdcFault::RegisterMismatch { address } => {
+            format!("the converter's register {address:#04x} does not hold what was written to it")
+        }
+        AdcFault::ReplyCorrupted => "the converter's replies arrive with wrong checksums".into(),
+        AdcFault::CommandCorrupted => "commands reach the converter with wrong checksums".into(),
+        AdcFault::UnexpectedReply => "the converter replies to something else than what it was sent".into(),
+        AdcFault::UnexpectedReset => "the converter was reset without being asked to".into(),
+        AdcFault::DataReadyLost => "the converter announces no conversions".into(),
+        AdcFault::StaleConversion => "the converter announces conversions but delivers old ones".into(),
+    }
+}
+
+/// State of the converter.
+pub fn adc_state(state: AdcState) -> String {
+    match state {
+        AdcState::Starting => "starting".into(),
+        AdcState::Running => "running".into(),
+        AdcState::Faulty(fault) => format!("FAULT: {}. {}", adc_fault(fault), remedy::of_adc_fault(fault)),
+    }
+}
+
+/// Why a request is not served.
+pub const fn rejection(rejection: Rejection) -> &'static str {
+    match rejection {
+        Rejection::NoTrial => "there is no trial",
+        Rejection::TrialBusy => "a trial is running or being solved",
+        Rejection::UnsupportedRank => "a trial has rank 2 or 3, and at most as many as the sensor has gages",
+        Rejection::WrongDimensions => "the calibration does not fit the number of gages of this sensor",
+        Rejection::UnusableNumbers => {
+            "a number of the calibration is not finite or beyond the converter's range"
+        }
+        Rejection::WrongIdentity => "the calibration's checksum does not match its numbers",
+    }
+}
+
+/// Why a sample is no wrench.
+pub fn no_wrench(cause: NoWrench) -> String {
+    match cause {
+        NoWrench::Uncalibrated => "the sensor has no calibration; upload one with `ftcal upload`".into(),
+        NoWrench::Saturated(channels) => {
+            format!(
+                "{} at the end of the converter's range: too much load, or a broken gage",
+                channel_list(channels)
+            )
+        }
+        NoWrench::Adc(fault) => format!("{}. {}", adc_fault(fault), remedy::of_adc_fault(fault)),
+        NoWrench::UnknownCalibration(identity) => {
+            format!("the calibration {identity:08x} came into use meanwhile; start the stream again")
+        }
+        NoWrench::NonFinite => {
+            "the calibration's numbers are too large for these codes; calibrate again".into()
+        }
+    }
+}
+
+/// The channels of a mask: bit k for gage k.
+fn channel_list(mask: u16) -> String {
+    let mut words = String::new();
+    for channel in (0..u16::BITS).filter(|channel| mask & (1 << channel) != 0) {
+        let before = if words.is_empty() { "" } else { ", " };
+        // Writing to a string cannot fail.
+        let _ = write!(words, "{before}ch{channel}");
+    }
+    words
+}
+
+/// Where the processor's clock comes from.
+pub const fn clock_source(clock: ClockSource) -> &'static str {
+    match clock {
+        ClockSource::Crystal => "crystal",
+        ClockSource::InternalFallback => {
+            "internal oscillator, because the crystal did not start: times are off by up to a per cent"
+        }
+        ClockSource::Simulated => "simulated",
+    }
+}
+
+/// What is being streamed.
+pub const fn stream_kind(kind: StreamKind) -> &'static str {
+    match kind {
+        StreamKind::Off => "off",
+        StreamKind::Codes => "raw codes",
+        StreamKind::Wrench => "wrenches",
+    }
+}
+
+/// What a trial is doing.
+pub const fn trial_phase(phase: TrialPhase) -> &'static str {
+    match phase {
+        TrialPhase::None => "none",
+        TrialPhase::Running => "running",
+        TrialPhase::Stopped => "stopped",
+        TrialPhase::Solving => "being solved",
+    }
+}
+
+/// State of the trial.
+pub fn trial_status(trial: &TrialStatus) -> String {
+    let phase = trial_phase(trial.phase);
+    if trial.phase == TrialPhase::None {
+        return phase.into();
+    }
+    let mut words = format!("{phase}, rank {}, {} samples used", trial.rank, trial.used);
+    if trial.saturated > 0 {
+        let _ = write!(words, ", {} rejected for saturation", trial.saturated);
+    }
+    words
+}

@@ -1,0 +1,303 @@
+//! The session file: what was hung on the sensor, at which arm, and which loads are known.
+//!
+//! ```toml
+//! dof = "spatial-force-torque"    # or planar-force, spatial-force, planar-force-torque
+//! gravity = 9.80665               # local, m/s²; this is the default
+//!
+//! [[trial]]
+//! recording = "arm1.csv"          # relative to this file
+//! mass_kg = 1.2                   # all that hangs on the sensor: the fixture turns with gravity too
+//! arm_m = [0.05, 0.0, 0.1]        # in the sensor frame; absent for force sensors
+//! turning = "counterclockwise"    # planar sensors only, optional: how the force turned in the sensor frame
+//!
+//! [[trial.known_load]]
+//! window_s = [3.0, 5.0]           # a rest within the trial, or recording = "rest.csv"
+//! direction = [0.0, 0.0, -1.0]    # of the force acting on the sensor, in the sensor frame
+//! accuracy_deg = 0.1              # one standard deviation of that direction
+//! ```
+//!
+//! Unknown fields are errors. Every error names line, column, what was expected and what stood there. What is read here
+//! is plain and checked; [`raw`] holds the file as it is spelled.
+
+mod raw;
+
+use std::path::{Path, PathBuf};
+
+use ftcal_shared::units::Dof;
+use nalgebra::DVector;
+use serde::{Deserialize, Serialize};
+
+use crate::place::Place;
+use crate::recording::shown;
+
+/// Standard gravity, m/s².
+pub const STANDARD_GRAVITY: f64 = 9.80665;
+
+/// A checked session.
+#[derive(Clone, Debug)]
+pub struct Session {
+    /// The file it was read from, which the words of errors name.
+    pub file: PathBuf,
+    /// What the sensor measures.
+    pub dof: Dof,
+    /// Local gravity, m/s².
+    pub gravity: f64,
+    /// The trials, at least one.
+    pub trials: Vec<SessionTrial>,
+}
+
+/// One trial of a session.
+#[derive(Clone, Debug)]
+pub struct SessionTrial {
+    /// The trial's recording.
+    pub recording: PathBuf,
+    /// The mass that hangs on the sensor, kilogram.
+    pub mass_kg: f64,
+    /// Where it hangs, metre, in the sensor frame; two or three components, none for force sensors.
+    pub arm_m: DVector<f64>,
+    /// How the force turned in the sensor frame.
+    pub turning: Option<Turning>,
+    /// The loads whose direction is known.
+    pub known_loads: Vec<SessionKnownLoad>,
+    /// Where the trial's recording is named.
+    pub place: Place,
+}
+
+/// One rest at a known load.
+#[derive(Clone, Debug)]
+pub struct SessionKnownLoad {
+    /// The rest.
+    pub rest: Rest,
+    /// Direction of the force acting on the sensor: a unit vector of two or three components in the sensor frame.
+    pub direction: DVector<f64>,
+    /// Standard deviation of that direction, degrees.
+    pub accuracy_deg: f64,
+    /// Where the rest is named.
+    pub place: Place,
+}
+
+/// Where the codes of a rest are.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Rest {
+    /// The whole of another recording.
+    Recording(PathBuf),
+    /// A part of the trial's recording, in seconds.
+    Window {
+        /// Start of the rest.
+        from_s: f64,
+        /// End of the rest.
+        to_s: f64,
+    },
+}
+
+/// The sense in which the force turned in the sensor frame, seen with x to the right and y up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Turning {
+    /// From x towards y.
+    Counterclockwise,
+    /// From y towards x.
+    Clockwise,
+}
+
+/// Why a file is not a session.
+#[derive(Debug, thiserror::Error)]
+pub enum SessionError {
+    /// The file cannot be read at all.
+    #[error("{file}: cannot be read: {source}")]
+    Unreadable {
+        /// The file.
+        file: String,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The file is not TOML, or not the TOML of a session.
+    #[error("{file}: {place}: {message}")]
+    Malformed {
+        /// The file.
+        file: String,
+        /// Where.
+        place: Place,
+        /// What was expected and found.
+        message: String,
+    },
+    /// A value is of the right type but makes no sense.
+    #[error("{file}: {place}: expected {expected}, found {found}")]
+    Unexpected {
+        /// The file.
+        file: String,
+        /// Where.
+        place: Place,
+        /// What belongs there.
+        expected: String,
+        /// What stands there.
+        found: String,
+    },
+}
+
+impl Session {
+    /// Reads and checks a session file. The recordings it names are not opened.
+    ///
+    /// # Errors
+    ///
+    /// [`SessionError`].
+    pub fn read(path: &Path) -> Result<Self, SessionError> {
+        let bytes =
+            std::fs::read(path).map_err(|source| SessionError::Unreadable { file: shown(path), source })?;
+        Self::parse(&bytes, path)
+    }
+
+    /// Reads and checks the text of a session file at `path`, whose folder the recordings are relative to.
+    ///
+    /// # Errors
+    ///
+    /// [`SessionError::Malformed`] and [`SessionError::Unexpected`].
+    pub fn parse(bytes: &[u8], path: &Path) -> Result<Self, SessionError> {
+        let file = shown(path);
+        let text = std::str::from_utf8(bytes).map_err(|error| SessionError::Malformed {
+            file: file.clone(),
+            place: place(&String::from_utf8_lossy(bytes), error.valid_up_to()),
+            message: "expected text in UTF-8, found bytes that are no text".to_owned(),
+        })?;
+        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+        let raw: raw::Session = toml::from_str(text).map_err(|error| SessionError::Malformed {
+            file: file.clone(),
+            place: place(text, error.span().map_or(0, |span| span.start)),
+            message: error.message().to_owned(),
+        })?;
+        raw.checked(path, text).map_err(|raw::Unexpected { offset, expected, found }| {
+            SessionError::Unexpected { file, place: place(text, offset), expected, found }
+        })
+    }
+}
+
+/// The line and column of a byte offset.
+fn place(text: &str, offset: usize) -> Place {
+    let before =
+        text.char_indices().take_while(|(position, _)| *position < offset).map(|(_, character)| character);
+    before.fold(Place { line: 1, column: 1 }, |Place { line, column }, character| {
+        if character == '\n' {
+            Place { line: line + 1, column: 1 }
+        } else {
+            Place { line, column: column + 1 }
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::{Path, PathBuf};
+
+    use ftcal_shared::units::Dof;
+
+    use super::{Rest, Session, SessionError, Turning};
+    use crate::place::Place;
+
+    const WRIST: &str = r#"dof = "spatial-force-torque"
+[[trial]]
+recording = "arm1.csv"
+mass_kg = 2
+arm_m = [0.05, 0, 0.1]
+[[trial.known_load]]
+window_s = [3.0, 5]
+direction = [0, 0, -2.0]
+accuracy_deg = 0.1
+"#;
+
+    const FINGERTIP: &str = r#"dof = "planar-force"
+gravity = 9.81
+[[trial]]
+recording = "/data/turn.csv"
+mass_kg = 0.1114
+turning = "clockwise"
+[[trial.known_load]]
+recording = "rests/down.csv"
+direction = [0.0, -1.0, 0]
+accuracy_deg = 0.2
+"#;
+
+    fn parse(text: &str) -> Result<Session, SessionError> {
+        Session::parse(text.as_bytes(), Path::new("folder/session.toml"))
+    }
+
+    fn place_of_error(text: &str) -> Place {
+        match parse(text) {
+            Err(SessionError::Malformed { place, .. } | SessionError::Unexpected { place, .. }) => place,
+            Err(error @ SessionError::Unreadable { .. }) => panic!("{error}"),
+            Ok(session) => panic!("accepted: {session:?}\n{text}"),
+        }
+    }
+
+    #[test]
+    fn a_session_is_read_as_the_contract_says() {
+        let session = parse(WRIST).expect("a session");
+        assert_eq!(session.dof, Dof::SpatialForceTorque);
+        assert!((session.gravity - super::STANDARD_GRAVITY).abs() < f64::EPSILON);
+        let [trial] = session.trials.as_slice() else { panic!("one trial") };
+        assert_eq!(trial.recording, PathBuf::from("folder/arm1.csv"));
+        assert_eq!(trial.arm_m.as_slice(), [0.05, 0.0, 0.1]);
+        let [load] = trial.known_loads.as_slice() else { panic!("one known load") };
+        assert_eq!(load.rest, Rest::Window { from_s: 3.0, to_s: 5.0 });
+        assert_eq!(load.direction.as_slice(), [0.0, 0.0, -1.0]);
+    }
+
+    #[test]
+    fn a_planar_direction_may_be_spelled_in_space() {
+        let session = parse(FINGERTIP).expect("a session");
+        let [trial] = session.trials.as_slice() else { panic!("one trial") };
+        assert_eq!(trial.recording, PathBuf::from("/data/turn.csv"));
+        assert_eq!(trial.turning, Some(Turning::Clockwise));
+        assert!(trial.arm_m.is_empty());
+        let [load] = trial.known_loads.as_slice() else { panic!("one known load") };
+        assert_eq!(load.rest, Rest::Recording(PathBuf::from("folder/rests/down.csv")));
+        assert_eq!(load.direction.as_slice(), [0.0, -1.0]);
+    }
+
+    #[test]
+    fn every_error_says_where() {
+        let cases: [(&str, &str, &str, (usize, usize)); 24] = [
+            (WRIST, "\"spatial-force-torque\"", "\"six-axis\"", (1, 7)),
+            (WRIST, "mass_kg = 2", "mass_kg = 0", (4, 11)),
+            (WRIST, "mass_kg = 2", "mass_kg = -2.5", (4, 11)),
+            (WRIST, "mass_kg = 2", "mass_kg = nan", (4, 11)),
+            (WRIST, "mass_kg = 2", "mass_kg = \"2\"", (4, 11)),
+            (WRIST, "mass_kg = 2", "mass = 2", (4, 1)),
+            (WRIST, "arm_m = [0.05, 0, 0.1]", "arm_m = [0.05, 0]", (5, 9)),
+            (WRIST, "arm_m = [0.05, 0, 0.1]", "arm_m = [0.05, 0, inf]", (5, 9)),
+            (WRIST, "arm_m = [0.05, 0, 0.1]", "arm_m = [50.0, 0, 200.0]", (5, 9)),
+            (WRIST, "arm_m = [0.05, 0, 0.1]\n", "", (3, 13)),
+            (WRIST, "arm_m", "turning = \"clockwise\"\narm_m", (5, 11)),
+            (WRIST, "[3.0, 5]", "[5.0, 3.0]", (7, 12)),
+            (WRIST, "[3.0, 5]", "[5.0]", (7, 12)),
+            (WRIST, "window_s = [3.0, 5]", "#", (8, 13)),
+            (WRIST, "window_s = [3.0, 5]", "recording = \"a\"\nwindow_s = [3.0, 5]", (8, 12)),
+            (WRIST, "[0, 0, -2.0]", "[0, 0, 0.0]", (8, 13)),
+            (WRIST, "[0, 0, -2.0]", "[0, 1]", (8, 13)),
+            (WRIST, "accuracy_deg = 0.1", "accuracy_deg = 90", (9, 16)),
+            (WRIST, "accuracy_deg = 0.1", "accuracy_deg = 0", (9, 16)),
+            (WRIST, "recording = \"arm1.csv\"", "recording = \"\"", (3, 13)),
+            (FINGERTIP, "9.81", "981", (2, 11)),
+            (FINGERTIP, "[0.0, -1.0, 0]", "[0.0, -1.0, 0.1]", (9, 13)),
+            (FINGERTIP, "mass_kg = 0.1114", "mass_kg = 0.1114\narm_m = [0.0, 0.1]", (6, 9)),
+            (FINGERTIP, "\"clockwise\"", "\"left\"", (6, 11)),
+        ];
+        for (text, good, bad, (line, column)) in cases {
+            assert!(text.contains(good));
+            assert_eq!(place_of_error(&text.replacen(good, bad, 1)), Place { line, column }, "{bad}");
+        }
+    }
+
+    #[test]
+    fn a_session_without_trials_is_none() {
+        place_of_error("");
+        place_of_error("dof = \"planar-force\"\n");
+        place_of_error("dof = \"planar-force\"\ntrial = []\n");
+    }
+
+    #[test]
+    fn bytes_that_are_no_text_are_located() {
+        let error =
+            Session::parse(b"dof = \"planar-force\"\n# \xff", Path::new("s.toml")).expect_err("not text");
+        assert!(error.to_string().starts_with("s.toml: line 2, column 3: "), "{error}");
+    }
+}

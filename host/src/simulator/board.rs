@@ -1,0 +1,277 @@
+//! The simulated board: the firmware's own application, fed by the bench instead of by hardware.
+//!
+//! ```text
+//! bench ──data ready──► Sensor ──frames──► line ──► client
+//!   ▲──── SPI bytes ─────┘ ▲──requests── Session ◄──┘
+//! ```
+//!
+//! It does what the real board does, in virtual time: one conversion after the other, a tick every
+//! [`TICK_MICROS`], a serial line of [`BAUD_RATE`] with a buffer of [`LINE_BUFFER`] bytes before it. A stream frame that does
+//! not fit into the buffer is dropped and counted, as on the board; a response always finds room. A trial is
+//! solved between two conversions and takes no virtual time.
+//!
+//! Everything follows from the bench and from what is received when: the same calls give the same bytes.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use embedded_hal::delay::DelayNs;
+use ftcal_firmware::sensor::{LinkCounters, Reaction, Sensor, StreamFrame};
+use ftcal_firmware::session::{Session, hello};
+use ftcal_firmware::trial::SolveJob;
+use ftcal_shared::estimation::moments::{Moments, higher_moment_count};
+use ftcal_shared::units::{AdcCode, DeviceTime};
+use ftcal_shared::wire::frame::encode;
+use ftcal_shared::wire::{ClockSource, Request, RequestId, Response, ToDevice, ToHost};
+use thiserror::Error;
+
+use super::bench::Bench;
+use super::bus::SharedBench;
+use super::scenario::Scenario;
+use super::sensor::SoftwareSensor;
+use crate::link::serial::BAUD_RATE;
+use crate::link::transport::{Transport, TransportError};
+
+/// Time between two ticks.
+const TICK_MICROS: u64 = 5_000;
+/// Bytes that wait for the line at most.
+const LINE_BUFFER: usize = 4096;
+/// Bits on the line for each byte: a start bit, eight of data, a stop bit.
+const BITS_PER_BYTE: u64 = 10;
+
+/// A board of any number of gages.
+pub trait Board: Send {
+    /// Takes in bytes from the host.
+    fn receive(&mut self, bytes: &[u8]);
+
+    /// Lives through one conversion period.
+    fn advance(&mut self);
+
+    /// Appends the bytes that the line has carried to the host by now.
+    fn take_sent(&mut self, sent: &mut Vec<u8>);
+
+    /// Virtual time since the board was switched on.
+    fn now(&self) -> DeviceTime;
+}
+
+/// Why a sensor cannot be put on a board.
+#[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
+#[error("the simulated board has 2 to 8 gages, not {gages}")]
+pub struct UnsupportedGages {
+    /// The sensor's gages.
+    pub gages: usize,
+}
+
+/// A board with the bench it stands on.
+pub struct SimulatedBoard {
+    board: Box<dyn Board>,
+    bench: SharedBench,
+}
+
+impl SimulatedBoard {
+    /// A board with this scenario's sensor, just switched on.
+    ///
+    /// # Errors
+    ///
+    /// Never for the scenarios that there are.
+    pub fn for_scenario(scenario: &Scenario, seed: u64) -> Result<Self, UnsupportedGages> {
+        Self::new(scenario.sensor.clone(), seed)
+    }
+
+    /// A board with this sensor, just switched on.
+    ///
+    /// # Errors
+    ///
+    /// [`UnsupportedGages`].
+    pub fn new(sensor: SoftwareSensor, seed: u64) -> Result<Self, UnsupportedGages> {
+        let gages = sensor.gages();
+        let bench = SharedBench::new(Bench::new(sensor, seed));
+        let board: Box<dyn Board> = match gages {
+            2 => Box::new(GageBoard::<2, { higher_moment_count(2) }>::new(bench.clone())),
+            3 => Box::new(GageBoard::<3, { higher_moment_count(3) }>::new(bench.clone())),
+            4 => Box::new(GageBoard::<4, { higher_moment_count(4) }>::new(bench.clone())),
+            5 => Box::new(GageBoard::<5, { higher_moment_count(5) }>::new(bench.clone())),
+            6 => Box::new(GageBoard::<6, { higher_moment_count(6) }>::new(bench.clone())),
+            7 => Box::new(GageBoard::<7, { higher_moment_count(7) }>::new(bench.clone())),
+            8 => Box::new(GageBoard::<8, { higher_moment_count(8) }>::new(bench.clone())),
+            _ => return Err(UnsupportedGages { gages }),
+        };
+        Ok(Self { board, bench })
+    }
+
+    /// The bench under the board: to hang loads, turn the sensor and play faults while a client talks to the board.
+    pub fn bench(&self) -> SharedBench {
+        self.bench.clone()
+    }
+
+    /// The board alone.
+    pub fn into_board(self) -> Box<dyn Board> {
+        self.board
+    }
+}
+
+/// The line of a simulated board: waiting for bytes is what makes its time pass.
+impl Transport for SimulatedBoard {
+    fn write(&mut self, bytes: &[u8]) -> Result<(), TransportError> {
+        self.board.receive(bytes);
+        Ok(())
+    }
+
+    fn read(&mut self, received: &mut Vec<u8>, deadline: Duration) -> Result<(), TransportError> {
+        let before = received.len();
+        loop {
+            self.board.take_sent(received);
+            if received.len() > before || self.elapsed() >= deadline {
+                return Ok(());
+            }
+            self.board.advance();
+        }
+    }
+
+    fn elapsed(&self) -> Duration {
+        Duration::from_micros(self.board.now().as_micros())
+    }
+}
+
+type Store<const GAGES: usize, const HIGHER: usize> = Box<Moments<GAGES, HIGHER>>;
+
+/// A board with `GAGES` gages.
+struct GageBoard<const GAGES: usize, const HIGHER: usize> {
+    bench: SharedBench,
+    sensor: Sensor<SharedBench, Store<GAGES, HIGHER>, GAGES, HIGHER>,
+    session: Session,
+    solving: Option<(RequestId, SolveJob<Store<GAGES, HIGHER>, GAGES, HIGHER>)>,
+    next_tick: DeviceTime,
+    line: Line,
+}
+
+impl<const GAGES: usize, const HIGHER: usize> GageBoard<GAGES, HIGHER> {
+    fn new(bench: SharedBench) -> Self {
+        let store = Box::new(Moments::new([AdcCode::ZERO; GAGES]));
+        Self {
+            sensor: Sensor::new(bench.clone(), store, ClockSource::Simulated),
+            bench,
+            session: Session::new(),
+            solving: None,
+            next_tick: DeviceTime::default(),
+            line: Line::default(),
+        }
+    }
+
+    fn on_message(&mut self, message: ToDevice) {
+        match message {
+            ToDevice::Hello => self.line.send(&ToHost::Hello(hello())),
+            ToDevice::Request(id, request) => self.on_request(id, request),
+        }
+    }
+
+    fn on_request(&mut self, id: RequestId, request: Request) {
+        let counters = LinkCounters {
+            dropped_frames: self.line.dropped_frames,
+            broken_frames: self.session.broken_frames(),
+        };
+        match self.sensor.answer(request, self.now(), counters) {
+            Reaction::Respond(response) => self.line.send(&ToHost::Response(id, response)),
+            Reaction::Solve(job) => self.solving = Some((id, job)),
+        }
+    }
+
+    fn stream(&mut self, frame: Option<StreamFrame>) {
+        if let Some(frame) = frame {
+            self.line.send_if_it_fits(&frame.into());
+        }
+    }
+}
+
+impl<const GAGES: usize, const HIGHER: usize> Board for GageBoard<GAGES, HIGHER> {
+    fn receive(&mut self, bytes: &[u8]) {
+        for &byte in bytes {
+            if let Some(message) = self.session.on_byte(byte) {
+                self.on_message(message);
+            }
+        }
+    }
+
+    fn advance(&mut self) {
+        if self.now() >= self.next_tick {
+            let now = self.now();
+            self.next_tick = DeviceTime::from_micros(now.as_micros() + TICK_MICROS);
+            let frame = self.sensor.tick(now, &mut VirtualDelay { bench: &self.bench });
+            self.stream(frame);
+        }
+        if let Some((id, mut job)) = self.solving.take() {
+            let response = job.solve().map_or_else(Response::Refused, Response::Solution);
+            self.sensor.finish_solving(job);
+            self.line.send(&ToHost::Response(id, response));
+        }
+        let announced = self.bench.with(Bench::next_conversion);
+        let now = self.now();
+        if announced {
+            let frame = self.sensor.on_data_ready(now, now);
+            self.stream(frame);
+        }
+        self.line.carry_until(now);
+    }
+
+    fn take_sent(&mut self, sent: &mut Vec<u8>) {
+        sent.append(&mut self.line.carried);
+    }
+
+    fn now(&self) -> DeviceTime {
+        self.bench.with(|bench| bench.now())
+    }
+}
+
+/// The serial line towards the host: bytes leave the buffer at the line's speed.
+#[derive(Default)]
+struct Line {
+    waiting: VecDeque<u8>,
+    carried: Vec<u8>,
+    carried_until: DeviceTime,
+    /// What the line could have carried beyond whole bytes, in bit times of a million microseconds.
+    remainder: u64,
+    dropped_frames: u32,
+}
+
+impl Line {
+    fn send(&mut self, message: &ToHost) {
+        // Every message of the protocol fits into a frame, which the golden bytes of the largest ones attest.
+        if let Ok(bytes) = encode(message) {
+            self.waiting.extend(bytes);
+        }
+    }
+
+    fn send_if_it_fits(&mut self, message: &ToHost) {
+        match encode(message) {
+            Ok(bytes) if self.waiting.len() + bytes.len() <= LINE_BUFFER => self.waiting.extend(bytes),
+            _ => self.dropped_frames = self.dropped_frames.wrapping_add(1),
+        }
+    }
+
+    fn carry_until(&mut self, now: DeviceTime) {
+        let micros = now.as_micros().saturating_sub(self.carried_until.as_micros());
+        self.carried_until = now;
+        // Microseconds times bits a second: a byte takes ten million of these.
+        let per_byte = BITS_PER_BYTE * 1_000_000;
+        let capacity = micros * u64::from(BAUD_RATE) + self.remainder;
+        let bytes = usize::try_from(capacity / per_byte).unwrap_or(usize::MAX).min(self.waiting.len());
+        self.remainder = if self.waiting.len() > bytes { capacity % per_byte } else { 0 };
+        self.carried.extend(self.waiting.drain(..bytes));
+    }
+}
+
+/// Waiting lets the bench's time pass; conversions that end meanwhile are announced to nobody.
+struct VirtualDelay<'a> {
+    bench: &'a SharedBench,
+}
+
+impl DelayNs for VirtualDelay<'_> {
+    fn delay_ns(&mut self, nanoseconds: u32) {
+        self.bench.with(|bench| {
+            let end = bench.now().as_micros() + u64::from(nanoseconds).div_ceil(1000);
+            while bench.now().as_micros() < end {
+                bench.next_conversion();
+            }
+        });
+    }
+}

@@ -1,0 +1,159 @@
+//! The firmware's image in QEMU, with a converter from the simulator.
+//!
+//! ```text
+//! any program ──pseudo-terminal──► USART2 ┐
+//!                                         ├─ emulated image in qemu-system-arm
+//! converter ────socket, tunnel───► USART3 ┘
+//! ```
+//!
+//! The machine is `netduinoplus2`, which has the STM32F405. Three things about it are told on the command line: the
+//! rate at which its timers count, which must be that of the clock the board ends up with (design § 9: the crystal never gets
+//! ready); that the host link is a pseudo-terminal, of which QEMU chooses the name; and that the tunnel is the
+//! socket that it inherits as its standard input, so that no other program can get in between.
+//!
+//! QEMU notices only after up to a second that a program has opened the pseudo-terminal; what the board sends while none
+//! has it open is lost. A program that has it open and does not read stops the board, for the emulated serial port waits.
+
+use std::io::{self, BufRead, BufReader, pipe};
+use std::os::fd::OwnedFd;
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command};
+use std::thread::{self, JoinHandle};
+
+use thiserror::Error;
+
+use super::tunnel::{Pace, TunnelledConverter, serve};
+
+/// The emulator.
+const PROGRAM: &str = "qemu-system-arm";
+
+/// What QEMU says when it has made the pseudo-terminal; the name follows.
+const ANNOUNCEMENT: &str = "char device redirected to ";
+
+/// The board's timers count at the rate of its internal oscillator.
+const TIMER_CLOCK: &str = "stm32f2xx-timer.clock-frequency=16000000";
+
+/// Why the image does not run.
+#[derive(Debug, Error)]
+pub enum EmulatorError {
+    /// There is no such file.
+    #[error("there is no image {}", path.display())]
+    NoImage {
+        /// The image as given.
+        path: PathBuf,
+    },
+    /// QEMU is not installed.
+    #[error("{PROGRAM} is not installed")]
+    NotInstalled,
+    /// QEMU does not run this image.
+    #[error("{PROGRAM} does not start: {}", words.trim())]
+    NotStarting {
+        /// What QEMU says.
+        words: String,
+    },
+    /// The operating system refuses a socket, a pipe or a process.
+    #[error("{PROGRAM} cannot be started")]
+    Failed(#[from] io::Error),
+}
+
+/// An emulated board that runs until it is dropped.
+pub struct Emulator {
+    machine: Child,
+    link: PathBuf,
+    tunnel: Option<JoinHandle<io::Result<()>>>,
+}
+
+impl Emulator {
+    /// Starts the emulated image with this converter.
+    ///
+    /// # Errors
+    ///
+    /// [`EmulatorError`].
+    pub fn start(
+        image: &Path,
+        mut converter: impl TunnelledConverter + Send + 'static,
+        pace: Pace,
+    ) -> Result<Self, EmulatorError> {
+        if !image.is_file() {
+            return Err(EmulatorError::NoImage { path: image.to_owned() });
+        }
+        let (our_end, board_end) = UnixStream::pair()?;
+        let (words, told) = pipe()?;
+        // The command keeps handles of its own until it is dropped: of the socket and of the pipe, whose ends tell us.
+        let machine = {
+            let mut command = Command::new(PROGRAM);
+            command
+                .args(["-machine", "netduinoplus2", "-global", TIMER_CLOCK, "-kernel"])
+                .arg(image)
+                .args(["-display", "none", "-monitor", "none"])
+                .args(["-chardev", "socket,id=tunnel,fd=0"])
+                .args(["-serial", "null", "-serial", "pty", "-serial", "chardev:tunnel"])
+                .stdin(OwnedFd::from(board_end))
+                .stdout(told.try_clone()?)
+                .stderr(told);
+            command.spawn()
+        };
+        let machine = machine.map_err(|error| match error.kind() {
+            io::ErrorKind::NotFound => EmulatorError::NotInstalled,
+            _ => EmulatorError::Failed(error),
+        })?;
+        // From here on the machine is stopped whatever happens.
+        let mut emulator = Self { machine, link: PathBuf::new(), tunnel: None };
+        emulator.link = link_path(BufReader::new(words))?;
+        let reader = our_end.try_clone()?;
+        emulator.tunnel = Some(thread::spawn(move || serve(reader, our_end, &mut converter, pace)));
+        Ok(emulator)
+    }
+
+    /// The board's serial port, for any program to open.
+    pub fn link(&self) -> &Path {
+        &self.link
+    }
+}
+
+impl Drop for Emulator {
+    fn drop(&mut self) {
+        // Neither fails but where the machine has ended already, which is what is wanted.
+        let _ = self.machine.kill();
+        let _ = self.machine.wait();
+        if let Some(tunnel) = self.tunnel.take() {
+            // The socket is closed with the machine, which ends the tunnel.
+            let _ = tunnel.join();
+        }
+    }
+}
+
+/// Reads what QEMU says until it names the pseudo-terminal. Ends with the machine at the latest.
+fn link_path(words: impl BufRead) -> Result<PathBuf, EmulatorError> {
+    let mut said = String::new();
+    for line in words.lines() {
+        let line = line?;
+        if let Some(rest) = line.strip_prefix(ANNOUNCEMENT) {
+            let name = rest.split_once(" (label").map_or(rest, |(name, _)| name);
+            return Ok(PathBuf::from(name));
+        }
+        said.push_str(&line);
+        said.push('\n');
+    }
+    Err(EmulatorError::NotStarting { words: said })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::PathBuf;
+
+    use super::{EmulatorError, link_path};
+
+    #[test]
+    fn the_link_is_what_qemu_says_it_is() {
+        let words = "a warning\nchar device redirected to /dev/pts/7 (label serial1)\n";
+        assert_eq!(link_path(words.as_bytes()).unwrap(), PathBuf::from("/dev/pts/7"));
+    }
+
+    #[test]
+    fn an_emulator_that_ends_without_a_link_is_quoted() {
+        let error = link_path("could not load kernel\n".as_bytes()).unwrap_err();
+        assert!(matches!(&error, EmulatorError::NotStarting { words } if words == "could not load kernel\n"));
+    }
+}

@@ -1,0 +1,58 @@
+//! A sensor without hardware: gages, load, hand and converter in virtual time, all from one seed.
+//!
+//! ```text
+//! scenario ─► bench: motion ─► load ─► software sensor ─► volts ─► ADS131M08 model ─► SPI bytes
+//!                       (hand)  (eq. 16, 19)  (eq. 4, 6)    ▲ channel faults     ▲ bus faults
+//! ```
+//!
+//! | module | holds |
+//! |---|---|
+//! | [`sensor`] | true shape, bias and noise: wrench in, counts out |
+//! | [`scenario`] | the four systems of the paper, each with its trials, known loads and validation loads |
+//! | [`motion`] | hand-like turning with rests, and the accelerations that turning causes |
+//! | [`ads131m08`] | the converter at the level of its SPI bytes |
+//! | [`fault`] | what can go wrong, from a stuck gage to a missing converter |
+//! | [`mod@bench`] | all of these together, one conversion at a time |
+//! | [`bus`] | the bench as a driver sees it: an SPI device |
+//! | [`board`] | the firmware's application on top of the bench |
+//! | [`tunnel`] | the bench as the emulator's converter |
+//! | [`emulator`] | the firmware's image in QEMU |
+//! | [`pseudo_terminal`] | a board behind a serial port that other programs can open |
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+pub mod ads131m08;
+pub mod bench;
+pub mod board;
+pub mod bus;
+#[cfg(unix)]
+pub mod emulator;
+pub mod fault;
+pub mod motion;
+#[cfg(unix)]
+pub mod pseudo_terminal;
+pub mod scenario;
+pub mod sensor;
+pub mod tunnel;
+
+/// What a random sequence is for. Each purpose has its own, so that playing a fault, say, changes no noise sample.
+#[derive(Clone, Copy)]
+enum Purpose {
+    Sensor,
+    Noise,
+    Motion,
+    Faults,
+}
+
+/// The random sequence of this seed for this purpose.
+fn random_sequence(seed: u64, purpose: Purpose) -> ChaCha8Rng {
+    let mut sequence = ChaCha8Rng::seed_from_u64(seed);
+    sequence.set_stream(match purpose {
+        Purpose::Sensor => 0,
+        Purpose::Noise => 1,
+        Purpose::Motion => 2,
+        Purpose::Faults => 3,
+    });
+    sequence
+}

@@ -1,0 +1,256 @@
+//! The host's end of the emulator's tunnel: a converter model behind a serial line. For the protocol see
+//! [`ftcal_firmware::tunnel`].
+//!
+//! The converter's clock is the bench's virtual time. [`serve`] lets it pass as fast as the [`Pace`] says, but never
+//! converts again before the last conversion was read: a board that is slow makes the converter slow, and misses nothing.
+//! A conversion that is not read within [`UNREAD_MICROS`] is left behind, as a real converter does.
+
+use std::io::{self, Read, Write};
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use ftcal_firmware::tunnel::{FromConverter, Transfer, TransferBytes, UNREAD_MICROS};
+use ftcal_shared::units::DeviceTime;
+use ftcal_shared::wire::frame::{Decoder, encode};
+
+use super::bench::Bench;
+use super::bus::SharedBench;
+
+/// Bytes taken from the line at once.
+const CHUNK: usize = 1024;
+
+/// A converter with a clock of its own.
+pub trait TunnelledConverter {
+    /// One chip-select frame: as many bytes in either direction.
+    fn exchange(&mut self, from_board: &[u8], to_board: &mut [u8]);
+
+    /// Lets one conversion period pass; whether data-ready announces the conversion.
+    fn next_conversion(&mut self) -> bool;
+
+    /// The converter's clock.
+    fn now(&self) -> DeviceTime;
+}
+
+impl TunnelledConverter for SharedBench {
+    fn exchange(&mut self, from_board: &[u8], to_board: &mut [u8]) {
+        self.with(|bench| bench.exchange(from_board, to_board));
+    }
+
+    fn next_conversion(&mut self) -> bool {
+        self.with(Bench::next_conversion)
+    }
+
+    fn now(&self) -> DeviceTime {
+        self.with(|bench| bench.now())
+    }
+}
+
+/// How fast the converter's clock runs at most.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pace {
+    /// As fast as a clock on the wall.
+    RealTime,
+    /// As fast as conversions are read.
+    AsRead,
+}
+
+/// Serves the converter to the board at the other end of the line, until the line is closed.
+///
+/// # Errors
+///
+/// That of the line, where it does not take what is to be sent.
+pub fn serve(
+    reader: impl Read + Send,
+    mut writer: impl Write,
+    converter: &mut impl TunnelledConverter,
+    pace: Pace,
+) -> io::Result<()> {
+    let (sender, questions) = channel();
+    thread::scope(|scope| {
+        scope.spawn(move || pass_on(reader, &sender));
+        let mut due = Instant::now();
+        // The last announcement, as long as no transfer followed it.
+        let mut unread: Option<Instant> = None;
+        loop {
+            let until = unread.map_or(due, |announced| announced + Duration::from_micros(UNREAD_MICROS));
+            match questions.recv_timeout(until.saturating_duration_since(Instant::now())) {
+                Ok(question) => {
+                    unread = None;
+                    send(&mut writer, &FromConverter::Transferred(answer(question, converter)))?;
+                }
+                Err(RecvTimeoutError::Timeout) => {
+                    let before = converter.now();
+                    let announced = converter.next_conversion();
+                    let now = converter.now();
+                    due = match pace {
+                        // A period after it was due; whoever is late by more than that does not catch up.
+                        Pace::RealTime => (due + elapsed(before, now)).max(Instant::now()),
+                        Pace::AsRead => Instant::now(),
+                    };
+                    unread = announced.then(Instant::now);
+                    if announced {
+                        send(&mut writer, &FromConverter::DataReady(now))?;
+                    }
+                }
+                Err(RecvTimeoutError::Disconnected) => return Ok(()),
+            }
+        }
+    })
+}
+
+/// The reader thread: bytes into questions, until the line or the server is gone. What is broken is dropped; the board
+/// notices that the answer is missing.
+fn pass_on(mut reader: impl Read, sender: &Sender<Transfer>) {
+    let mut decoder = Decoder::new();
+    let mut chunk = [0; CHUNK];
+    loop {
+        let length = match reader.read(&mut chunk) {
+            Ok(0) => return,
+            Ok(length) => length,
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+            Err(_) => return,
+        };
+        for &byte in chunk.iter().take(length) {
+            if let Some(Ok(question)) = decoder.push::<Transfer>(byte)
+                && sender.send(question).is_err()
+            {
+                return;
+            }
+        }
+    }
+}
+
+fn answer(question: Transfer, converter: &mut impl TunnelledConverter) -> Transfer {
+    let mut bytes: TransferBytes = question.bytes.clone();
+    converter.exchange(&question.bytes, &mut bytes);
+    Transfer { number: question.number, bytes }
+}
+
+fn send(writer: &mut impl Write, message: &FromConverter) -> io::Result<()> {
+    let frame = encode(message).map_err(|_| io::Error::other("a message of the tunnel is too long"))?;
+    writer.write_all(&frame)
+}
+
+fn elapsed(begin: DeviceTime, end: DeviceTime) -> Duration {
+    Duration::from_micros(end.as_micros().saturating_sub(begin.as_micros()))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{PipeReader, Read, Write, pipe};
+    use std::thread;
+    use std::time::{Duration, Instant};
+
+    use ftcal_firmware::tunnel::{FromConverter, Transfer, TransferBytes, UNREAD_MICROS};
+    use ftcal_shared::units::DeviceTime;
+    use ftcal_shared::wire::frame::{Decoder, encode};
+
+    use super::{Pace, TunnelledConverter, serve};
+
+    const PERIOD_MICROS: u64 = 2_000;
+
+    /// Answers every byte with its complement, and counts conversions.
+    struct Complement {
+        conversions: u64,
+    }
+
+    impl TunnelledConverter for Complement {
+        fn exchange(&mut self, from_board: &[u8], to_board: &mut [u8]) {
+            for (reply, byte) in to_board.iter_mut().zip(from_board) {
+                *reply = !byte;
+            }
+        }
+
+        fn next_conversion(&mut self) -> bool {
+            self.conversions += 1;
+            true
+        }
+
+        fn now(&self) -> DeviceTime {
+            DeviceTime::from_micros(self.conversions * PERIOD_MICROS)
+        }
+    }
+
+    /// The board's end: the next whole message.
+    fn receive(line: &mut PipeReader) -> FromConverter {
+        let mut decoder = Decoder::new();
+        loop {
+            let mut byte = [0];
+            line.read_exact(&mut byte).unwrap();
+            if let Some(message) = decoder.push(byte[0]) {
+                return message.unwrap();
+            }
+        }
+    }
+
+    /// Plays the board for a while and returns how many conversions there were.
+    fn conversions_while(pace: Pace, board: impl FnOnce(&mut PipeReader, &mut dyn Write)) -> u64 {
+        let (from_board, mut to_converter) = pipe().unwrap();
+        let (mut from_converter, to_board) = pipe().unwrap();
+        let server = thread::spawn(move || {
+            let mut converter = Complement { conversions: 0 };
+            serve(from_board, to_board, &mut converter, pace).map(|()| converter.conversions)
+        });
+        board(&mut from_converter, &mut to_converter);
+        drop(to_converter);
+        server.join().unwrap().unwrap()
+    }
+
+    fn question(number: u8) -> Vec<u8> {
+        let bytes = TransferBytes::from_slice(&[number, 0x0F]).unwrap();
+        encode(&Transfer { number, bytes }).unwrap().to_vec()
+    }
+
+    /// Reads one conversion: the answer must bear the question's number.
+    fn read_conversion(number: u8, from_converter: &mut PipeReader, to_converter: &mut dyn Write) -> u64 {
+        let FromConverter::DataReady(time) = receive(from_converter) else { panic!("nothing was asked") };
+        to_converter.write_all(&question(number)).unwrap();
+        let bytes = TransferBytes::from_slice(&[!number, 0xF0]).unwrap();
+        assert_eq!(receive(from_converter), FromConverter::Transferred(Transfer { number, bytes }));
+        time.as_micros()
+    }
+
+    #[test]
+    fn no_conversion_is_skipped_however_slow_the_board() {
+        conversions_while(Pace::AsRead, |from_converter, to_converter| {
+            for conversion in 1..=20 {
+                thread::sleep(Duration::from_millis(u64::from(conversion) % 5));
+                let time = read_conversion(conversion, from_converter, to_converter);
+                assert_eq!(time, u64::from(conversion) * PERIOD_MICROS);
+            }
+        });
+    }
+
+    #[test]
+    fn the_converter_is_no_faster_than_the_clock_on_the_wall() {
+        let begin = Instant::now();
+        let conversions = conversions_while(Pace::RealTime, |from_converter, to_converter| {
+            for conversion in 0..50 {
+                read_conversion(conversion, from_converter, to_converter);
+            }
+        });
+        assert!(begin.elapsed() >= Duration::from_micros((conversions - 2) * PERIOD_MICROS));
+    }
+
+    #[test]
+    fn a_conversion_that_nobody_reads_is_left_behind() {
+        let begin = Instant::now();
+        conversions_while(Pace::AsRead, |from_converter, _| {
+            receive(from_converter);
+            let FromConverter::DataReady(time) = receive(from_converter) else { panic!("nothing was asked") };
+            assert_eq!(time.as_micros(), 2 * PERIOD_MICROS);
+        });
+        assert!(begin.elapsed() >= Duration::from_micros(UNREAD_MICROS));
+    }
+
+    #[test]
+    fn a_broken_question_is_not_answered_and_the_next_one_is() {
+        conversions_while(Pace::AsRead, |from_converter, to_converter| {
+            let mut broken = question(1);
+            broken[2] ^= 1;
+            to_converter.write_all(&broken).unwrap();
+            read_conversion(2, from_converter, to_converter);
+        });
+    }
+}
