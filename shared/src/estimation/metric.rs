@@ -2,17 +2,9 @@
 //!
 //! In whitened coordinates x = Λ^-½ V*ᵀ(z − z̄) the motion lies on an ellipsoid xᵀQx + gᵀx = 1 with free centre. The
 //! paper solves its equation 13 for Q by least squares; squares of noisy coordinates then carry the noise variance with
-//! them and bias the answer by about −3.3(σ/F)². Here the moments are **adjusted** first (Kukush, Markovsky, Van Huffel:
-//! *Consistent estimation in an implicit quadratic measurement error model*): with noise variance νₐ in coordinate a,
-//!
-//! ```text
-//! E[xₐx_b]       is replaced by E[xₐx_b] − δ_ab νₐ
-//! E[xₐx_bx_c]    stays, about the mean
-//! E[xₐx_bx_cx_d] is replaced by E[…] − Σ₆ δ_ab νₐ E[x_cx_d] + Σ₃ δ_ab νₐ δ_cd ν_c
-//! ```
-//!
-//! (sums over the ways to pair the indices), which are unbiased for the moments of the noise-free motion. With ν = 0
-//! this is the paper's least squares with a free centre.
+//! them and bias the answer by about −3.3(σ/F)². Here the moments are taken less their noise first
+//! ([`MotionMoments::without_noise`]): **adjusted least squares**. With no noise this is the paper's least squares with
+//! a free centre.
 
 use nalgebra::{Cholesky, SMatrix, SVector};
 
@@ -35,7 +27,7 @@ const LEAST_NORMAL_EIGENVALUE: f64 = 1e-5;
 /// The ellipsoid (x − c)ᵀ M (x − c) = 1 of the motion in whitened coordinates.
 #[derive(Clone, Debug)]
 pub struct Metric<const RANK: usize> {
-    /// M (r × r, positive definite): MᵀM-shaped like the paper's A⁻ᵀA⁻¹.
+    /// M (r × r, positive definite); AᵀMA = I gives the paper's A of eq. 11.
     pub matrix: SMatrix<f64, RANK, RANK>,
     /// The centre c.
     pub centre: SVector<f64, RANK>,
@@ -54,7 +46,8 @@ pub fn metric<const RANK: usize>(
     noise: &SVector<f64, RANK>,
     samples: u64,
 ) -> Result<Metric<RANK>, Refusal> {
-    let (normal, right) = normal_equations(moments, noise);
+    let free = moments.without_noise(noise);
+    let (normal, right) = normal_equations(&free);
     let eigen = symmetric_eigen(&normal)?;
     if eigen.values.min() < LEAST_NORMAL_EIGENVALUE {
         return Err(does_not_span(f64::INFINITY));
@@ -66,10 +59,14 @@ pub fn metric<const RANK: usize>(
         let element = solution[quadratic_position::<RANK>(a, b)];
         if a == b { element } else { element / 2.0 }
     });
-    let linear = SVector::from_fn(|a, _| solution[linear_position::<RANK>(a)]);
+    let linear = SVector::<f64, RANK>::from_fn(|a, _| solution[linear_position::<RANK>(a)]);
 
-    let residual_variance = (1.0 - solution.dot(&right)).max(0.0);
-    let covariance = factor.inverse() * (residual_variance / samples.max(1) as f64);
+    // What the constraint leaves unexplained, and the noise, which the moments have been freed of: to first order it
+    // moves xᵀQx + gᵀx by its product with the gradient 2Qx + g.
+    let unexplained = (1.0 - solution.dot(&right)).max(0.0);
+    let second = SMatrix::<f64, RANK, RANK>::from_fn(|a, b| free.second[a][b]);
+    let squared_gradient = (quadratic * second * quadratic * 4.0).diagonal() + linear.component_mul(&linear);
+    let covariance = factor.inverse() * ((unexplained + squared_gradient.dot(noise)) / samples.max(1) as f64);
     require_determined::<RANK>(&quadratic, &covariance)?;
 
     let quadratic_factor = Cholesky::new(quadratic).ok_or(Refusal::MetricNotPositiveDefinite)?;
@@ -106,21 +103,19 @@ fn require_determined<const RANK: usize>(
     Ok(())
 }
 
-/// Ψ = E[φφᵀ] and ψ = E[φ] with adjusted moments; φ holds the products xₐx_b (a ≤ b), then xₐ.
+/// Ψ = E[φφᵀ] and ψ = E[φ] of central moments; φ holds the products xₐx_b (a ≤ b), then xₐ.
 fn normal_equations<const RANK: usize>(
     moments: &MotionMoments<RANK>,
-    noise: &SVector<f64, RANK>,
 ) -> (SMatrix<f64, UNKNOWNS, UNKNOWNS>, SVector<f64, UNKNOWNS>) {
     let mut normal = SMatrix::<f64, UNKNOWNS, UNKNOWNS>::identity();
     let mut right = SVector::<f64, UNKNOWNS>::zeros();
     for a in 0..RANK {
         for b in a..RANK {
             let row = quadratic_position::<RANK>(a, b);
-            right[row] = adjusted_second(moments, noise, a, b);
+            right[row] = moments.second[a][b];
             for c in 0..RANK {
                 for d in c..RANK {
-                    normal[(row, quadratic_position::<RANK>(c, d))] =
-                        adjusted_fourth(moments, noise, [a, b, c, d]);
+                    normal[(row, quadratic_position::<RANK>(c, d))] = moments.fourth[a][b][c][d];
                 }
                 let column = linear_position::<RANK>(c);
                 normal[(row, column)] = moments.third[a][b][c];
@@ -128,45 +123,10 @@ fn normal_equations<const RANK: usize>(
             }
         }
         for b in 0..RANK {
-            normal[(linear_position::<RANK>(a), linear_position::<RANK>(b))] =
-                adjusted_second(moments, noise, a, b);
+            normal[(linear_position::<RANK>(a), linear_position::<RANK>(b))] = moments.second[a][b];
         }
     }
     (normal, right)
-}
-
-fn adjusted_second<const RANK: usize>(
-    moments: &MotionMoments<RANK>,
-    noise: &SVector<f64, RANK>,
-    a: usize,
-    b: usize,
-) -> f64 {
-    moments.second[a][b] - noise_covariance(noise, a, b)
-}
-
-fn adjusted_fourth<const RANK: usize>(
-    moments: &MotionMoments<RANK>,
-    noise: &SVector<f64, RANK>,
-    [a, b, c, d]: [usize; 4],
-) -> f64 {
-    let nu = |i, j| noise_covariance(noise, i, j);
-    let pairs: f64 = [
-        ([a, b], [c, d]),
-        ([a, c], [b, d]),
-        ([a, d], [b, c]),
-        ([c, d], [a, b]),
-        ([b, d], [a, c]),
-        ([b, c], [a, d]),
-    ]
-    .iter()
-    .map(|&([i, j], [k, l])| nu(i, j) * moments.second[k][l])
-    .sum();
-    let pairings = nu(a, b) * nu(c, d) + nu(a, c) * nu(b, d) + nu(a, d) * nu(b, c);
-    moments.fourth[a][b][c][d] - pairs + pairings
-}
-
-fn noise_covariance<const RANK: usize>(noise: &SVector<f64, RANK>, a: usize, b: usize) -> f64 {
-    if a == b { noise[a] } else { 0.0 }
 }
 
 /// Where xₐx_b stands in φ.

@@ -31,23 +31,86 @@ pub fn project<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
 }
 
 impl<const RANK: usize> MotionMoments<RANK> {
-    /// The moments of the coordinates divided by `scale`, one scale a coordinate.
+    /// The moments of B y, from those of y.
     #[must_use]
-    pub fn scaled_down(&self, scale: &SVector<f64, RANK>) -> Self {
-        let mut scaled = self.clone();
+    pub fn transformed(&self, matrix: &SMatrix<f64, RANK, RANK>) -> Self {
+        let second = SMatrix::<f64, RANK, RANK>::from_fn(|a, b| self.second[a][b]);
+        let second = matrix * second * matrix.transpose();
+        let mut transformed = Self { second: rows(&second), third: self.third, fourth: self.fourth };
+        // One index at a time; every pass turns the first index and moves it to the back.
+        for _ in 0..3 {
+            transformed.third = turn_third(&transformed.third, matrix);
+        }
+        for _ in 0..4 {
+            transformed.fourth = turn_fourth(&transformed.fourth, matrix);
+        }
+        transformed
+    }
+
+    /// The moments of y less its noise, where every coordinate carries independent Gaussian noise of this variance
+    /// (Kukush, Markovsky, Van Huffel, *Consistent estimation in an implicit quadratic measurement error model*):
+    ///
+    /// ```text
+    /// E[yₐy_b]       less δ_ab νₐ
+    /// E[yₐy_by_c]    as it is, about the mean
+    /// E[yₐy_by_cy_d] less Σ₆ δ_ab νₐ E[y_cy_d], plus Σ₃ δ_ab νₐ δ_cd ν_c
+    /// ```
+    ///
+    /// (sums over the ways to pair the indices).
+    #[must_use]
+    pub fn without_noise(&self, variance: &SVector<f64, RANK>) -> Self {
+        let nu = |a: usize, b: usize| if a == b { variance[a] } else { 0.0 };
+        let second = &self.second;
+        let mut free = self.clone();
         for a in 0..RANK {
             for b in 0..RANK {
-                scaled.second[a][b] /= scale[a] * scale[b];
+                free.second[a][b] -= nu(a, b);
                 for c in 0..RANK {
-                    scaled.third[a][b][c] /= scale[a] * scale[b] * scale[c];
                     for d in 0..RANK {
-                        scaled.fourth[a][b][c][d] /= scale[a] * scale[b] * scale[c] * scale[d];
+                        let pairs = nu(a, b) * second[c][d]
+                            + nu(a, c) * second[b][d]
+                            + nu(a, d) * second[b][c]
+                            + nu(c, d) * second[a][b]
+                            + nu(b, d) * second[a][c]
+                            + nu(b, c) * second[a][d];
+                        let pairings = nu(a, b) * nu(c, d) + nu(a, c) * nu(b, d) + nu(a, d) * nu(b, c);
+                        free.fourth[a][b][c][d] += pairings - pairs;
                     }
                 }
             }
         }
-        scaled
+        free
     }
+}
+
+fn rows<const RANK: usize>(matrix: &SMatrix<f64, RANK, RANK>) -> [[f64; RANK]; RANK] {
+    core::array::from_fn(|a| core::array::from_fn(|b| matrix[(a, b)]))
+}
+
+fn turn_third<const RANK: usize>(tensor: &Third<RANK>, matrix: &SMatrix<f64, RANK, RANK>) -> Third<RANK> {
+    let mut turned = [[[0.0; RANK]; RANK]; RANK];
+    for a in 0..RANK {
+        for b in 0..RANK {
+            for c in 0..RANK {
+                turned[b][c][a] = (0..RANK).map(|i| matrix[(a, i)] * tensor[i][b][c]).sum();
+            }
+        }
+    }
+    turned
+}
+
+fn turn_fourth<const RANK: usize>(tensor: &Fourth<RANK>, matrix: &SMatrix<f64, RANK, RANK>) -> Fourth<RANK> {
+    let mut turned = [[[[0.0; RANK]; RANK]; RANK]; RANK];
+    for a in 0..RANK {
+        for b in 0..RANK {
+            for c in 0..RANK {
+                for d in 0..RANK {
+                    turned[b][c][d][a] = (0..RANK).map(|i| matrix[(a, i)] * tensor[i][b][c][d]).sum();
+                }
+            }
+        }
+    }
+    turned
 }
 
 type Third<const RANK: usize> = [[[f64; RANK]; RANK]; RANK];
@@ -59,8 +122,7 @@ fn rotate_second<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
     basis: &SMatrix<f64, GAGES, RANK>,
 ) -> [[f64; RANK]; RANK] {
     let gram = SMatrix::<f64, GAGES, GAGES>::from_fn(|i, j| moments.second_moment(i, j));
-    let rotated = basis.transpose() * gram * basis;
-    core::array::from_fn(|a| core::array::from_fn(|b| rotated[(a, b)]))
+    rows(&(basis.transpose() * gram * basis))
 }
 
 /// E[yₐy_by_c] and E[yₐy_by_cy_d] about the pivot.

@@ -49,17 +49,17 @@ pub fn solve_trial<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
 
     let variances = eigenvalues.fixed_rows::<RANK>(0).into_owned();
     let deviations = variances.map(libm::sqrt);
-    let whitened = project(moments, &vectors).scaled_down(&deviations);
+    let whitening = SMatrix::<f64, RANK, RANK>::from_diagonal(&deviations.map(|deviation| 1.0 / deviation));
     let whitened_noise = variances.map(|variance| noise_variance.unwrap_or(0.0) / variance);
+    let whitened = project(moments, &vectors).transformed(&whitening);
     let metric = metric(&whitened, &whitened_noise, samples)?;
 
     // M = LLᵀ makes m = Lᵀ(x − c) a unit vector, so z = b + V*Λ^½L⁻ᵀm: A = L⁻¹ in eq. 11, with Ŝ = Λ^½V*ᵀ.
     let factor = Cholesky::new(metric.matrix).ok_or(Refusal::MetricNotPositiveDefinite)?;
-    let whitening = SMatrix::<f64, RANK, RANK>::from_diagonal(&deviations);
-    let indeterminate_shape = whitening * vectors.transpose();
+    let indeterminate_shape = SMatrix::<f64, RANK, RANK>::from_diagonal(&deviations) * vectors.transpose();
     let shape_counts_per_load =
         factor.l().solve_lower_triangular(&indeterminate_shape).ok_or(Refusal::MetricNotPositiveDefinite)?;
-    let bias_counts = moments.mean_counts() + vectors * (whitening * metric.centre);
+    let bias_counts = moments.mean_counts() + indeterminate_shape.transpose() * metric.centre;
 
     if shape_counts_per_load.iter().chain(bias_counts.iter()).any(|element| !element.is_finite()) {
         return Err(Refusal::NonFinite);
