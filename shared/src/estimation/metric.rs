@@ -10,10 +10,8 @@ use nalgebra::{Cholesky, SMatrix, SVector};
 
 use super::eigen::symmetric_eigen;
 use super::projection::MotionMoments;
+use super::quadric::{Coefficients, UNKNOWNS, linear_position, normal_matrix, product_position};
 use crate::refusal::Refusal;
-
-/// Unknowns at rank 3: six elements of Q and three of g. At rank 2 (3 + 2) the rest of the system is the identity.
-const UNKNOWNS: usize = 9;
 
 /// The largest relative standard deviation of a principal value of Q that counts as determined by the motion.
 ///
@@ -31,6 +29,8 @@ pub struct Metric<const RANK: usize> {
     pub matrix: SMatrix<f64, RANK, RANK>,
     /// The centre c.
     pub centre: SVector<f64, RANK>,
+    /// The variance of (x − c)ᵀM(x − c), which should be one throughout, less what the noise explains of it.
+    pub unexplained: f64,
 }
 
 /// Solves the metric constraint from central moments of the whitened motion.
@@ -47,7 +47,8 @@ pub fn metric<const RANK: usize>(
     samples: u64,
 ) -> Result<Metric<RANK>, Refusal> {
     let free = moments.without_noise(noise);
-    let (normal, right) = normal_equations(&free);
+    let normal = normal_matrix(&free);
+    let right = means(&free);
     let eigen = symmetric_eigen(&normal)?;
     if eigen.values.min() < LEAST_NORMAL_EIGENVALUE {
         return Err(does_not_span(f64::INFINITY));
@@ -56,7 +57,7 @@ pub fn metric<const RANK: usize>(
     let solution = factor.solve(&right);
 
     let quadratic = SMatrix::from_fn(|a, b| {
-        let element = solution[quadratic_position::<RANK>(a, b)];
+        let element = solution[product_position::<RANK>(a, b)];
         if a == b { element } else { element / 2.0 }
     });
     let linear = SVector::<f64, RANK>::from_fn(|a, _| solution[linear_position::<RANK>(a)]);
@@ -73,7 +74,7 @@ pub fn metric<const RANK: usize>(
     let centre = quadratic_factor.solve(&linear) * -0.5;
     // xᵀQx + gᵀx = 1 about its centre: (x − c)ᵀQ(x − c) = 1 + cᵀQc.
     let level = 1.0 + centre.dot(&(quadratic * centre));
-    Ok(Metric { matrix: quadratic / level, centre })
+    Ok(Metric { matrix: quadratic / level, centre, unexplained: unexplained / (level * level) })
 }
 
 /// Every principal value of Q must stand clear of its own uncertainty; a negative one that does is no ellipsoid.
@@ -84,10 +85,10 @@ fn require_determined<const RANK: usize>(
     let principal = symmetric_eigen(quadratic)?;
     for k in 0..RANK {
         let direction = principal.vectors.column(k);
-        let mut gradient = SVector::<f64, UNKNOWNS>::zeros();
+        let mut gradient = Coefficients::zeros();
         for a in 0..RANK {
             for b in a..RANK {
-                gradient[quadratic_position::<RANK>(a, b)] = direction[a] * direction[b];
+                gradient[product_position::<RANK>(a, b)] = direction[a] * direction[b];
             }
         }
         let deviation = libm::sqrt(gradient.dot(&(covariance * gradient)).max(0.0));
@@ -103,41 +104,15 @@ fn require_determined<const RANK: usize>(
     Ok(())
 }
 
-/// Ψ = E[φφᵀ] and ψ = E[φ] of central moments; φ holds the products xₐx_b (a ≤ b), then xₐ.
-fn normal_equations<const RANK: usize>(
-    moments: &MotionMoments<RANK>,
-) -> (SMatrix<f64, UNKNOWNS, UNKNOWNS>, SVector<f64, UNKNOWNS>) {
-    let mut normal = SMatrix::<f64, UNKNOWNS, UNKNOWNS>::identity();
-    let mut right = SVector::<f64, UNKNOWNS>::zeros();
+/// E[φ] of central moments.
+fn means<const RANK: usize>(central: &MotionMoments<RANK>) -> Coefficients {
+    let mut means = Coefficients::zeros();
     for a in 0..RANK {
         for b in a..RANK {
-            let row = quadratic_position::<RANK>(a, b);
-            right[row] = moments.second[a][b];
-            for c in 0..RANK {
-                for d in c..RANK {
-                    normal[(row, quadratic_position::<RANK>(c, d))] = moments.fourth[a][b][c][d];
-                }
-                let column = linear_position::<RANK>(c);
-                normal[(row, column)] = moments.third[a][b][c];
-                normal[(column, row)] = moments.third[a][b][c];
-            }
-        }
-        for b in 0..RANK {
-            normal[(linear_position::<RANK>(a), linear_position::<RANK>(b))] = moments.second[a][b];
+            means[product_position::<RANK>(a, b)] = central.second[a][b];
         }
     }
-    (normal, right)
-}
-
-/// Where xₐx_b stands in φ.
-const fn quadratic_position<const RANK: usize>(a: usize, b: usize) -> usize {
-    let (row, column) = if a <= b { (a, b) } else { (b, a) };
-    row * RANK - row * (row + 1) / 2 + column
-}
-
-/// Where xₐ stands in φ.
-const fn linear_position<const RANK: usize>(a: usize) -> usize {
-    RANK * (RANK + 1) / 2 + a
+    means
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "a report of three digits")]

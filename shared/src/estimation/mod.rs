@@ -13,6 +13,8 @@
 //! | [`projection`] | the moments in the r coordinates of the basis | design § 3.2 |
 //! | [`metric`] | the constraint |m| = 1, with free centre | eq. 13, design § 3.3 |
 //! | [`shape`] | shape and bias of one trial | eq. 10, 11, design § 3.4 |
+//! | [`directions`] | where the load has been | |
+//! | [`uncertainty`] | how well shape and bias are known | design § 4 |
 //! | [`calibration`] | calibration matrix of a shape | eq. 5 |
 //! | [`application`] | raw codes to wrench, in real time | eq. 1 |
 //!
@@ -22,8 +24,11 @@
 pub mod application;
 pub mod basis;
 pub mod calibration;
+pub mod directions;
 mod eigen;
 pub mod metric;
 pub mod moments;
 pub mod projection;
+mod quadric;
 pub mod shape;
+pub mod uncertainty;

@@ -83,6 +83,49 @@ impl<const RANK: usize> MotionMoments<RANK> {
     }
 }
 
+impl<const RANK: usize> MotionMoments<RANK> {
+    /// Moments about zero of coordinates with this mean, from their central moments.
+    #[must_use]
+    pub fn about_zero(&self, mean: &SVector<f64, RANK>) -> Self {
+        let m = mean;
+        let mut raw = self.clone();
+        for a in 0..RANK {
+            for b in 0..RANK {
+                raw.second[a][b] += m[a] * m[b];
+                for c in 0..RANK {
+                    raw.third[a][b][c] += m[a] * self.second[b][c]
+                        + m[b] * self.second[a][c]
+                        + m[c] * self.second[a][b]
+                        + m[a] * m[b] * m[c];
+                    for d in 0..RANK {
+                        raw.fourth[a][b][c][d] += m[a] * self.third[b][c][d]
+                            + m[b] * self.third[a][c][d]
+                            + m[c] * self.third[a][b][d]
+                            + m[d] * self.third[a][b][c]
+                            + pair_products(m, &self.second, [a, b, c, d])
+                            + m[a] * m[b] * m[c] * m[d];
+                    }
+                }
+            }
+        }
+        raw
+    }
+}
+
+/// Σ₆ mₐm_b E_cd, over the ways to choose two of four indices.
+fn pair_products<const RANK: usize>(
+    m: &SVector<f64, RANK>,
+    second: &[[f64; RANK]; RANK],
+    [a, b, c, d]: [usize; 4],
+) -> f64 {
+    m[a] * m[b] * second[c][d]
+        + m[a] * m[c] * second[b][d]
+        + m[a] * m[d] * second[b][c]
+        + m[b] * m[c] * second[a][d]
+        + m[b] * m[d] * second[a][c]
+        + m[c] * m[d] * second[a][b]
+}
+
 fn rows<const RANK: usize>(matrix: &SMatrix<f64, RANK, RANK>) -> [[f64; RANK]; RANK] {
     core::array::from_fn(|a| core::array::from_fn(|b| matrix[(a, b)]))
 }
@@ -275,14 +318,9 @@ fn about_mean<const RANK: usize>(
                         + m[b] * third[a][c][d]
                         + m[c] * third[a][b][d]
                         + m[d] * third[a][b][c];
-                    let two_means = m[a] * m[b] * second[c][d]
-                        + m[a] * m[c] * second[b][d]
-                        + m[a] * m[d] * second[b][c]
-                        + m[b] * m[c] * second[a][d]
-                        + m[b] * m[d] * second[a][c]
-                        + m[c] * m[d] * second[a][b];
-                    central.fourth[a][b][c][d] =
-                        fourth[a][b][c][d] - one_mean + two_means - 3.0 * m[a] * m[b] * m[c] * m[d];
+                    central.fourth[a][b][c][d] = fourth[a][b][c][d] - one_mean
+                        + pair_products(m, second, [a, b, c, d])
+                        - 3.0 * m[a] * m[b] * m[c] * m[d];
                 }
             }
         }

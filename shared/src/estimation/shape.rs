@@ -3,15 +3,19 @@
 use nalgebra::{Cholesky, SMatrix, SVector};
 
 use super::basis::{Basis, basis, unsupported};
+use super::directions::DirectionMoments;
+use super::eigen::symmetric_eigen;
 use super::metric::metric;
 use super::moments::Moments;
 use super::projection::project;
+use super::uncertainty::{TrialUncertainty, predict};
 use crate::refusal::Refusal;
 
 /// What one trial tells: the sensor's shape for a load at that trial's moment arm, in an arbitrary orientation.
 #[derive(Clone, Debug)]
 pub struct TrialSolution<const GAGES: usize, const RANK: usize> {
-    /// S (r × p), counts per unit load, so that z = b + Sᵀm with |m| = 1. Known up to a rotation and a mirror image.
+    /// S (r × p), counts per unit load, so that z = b + Sᵀm with |m| = 1. Known up to a rotation and a mirror image; its
+    /// rows are made orthogonal, longest first.
     pub shape_counts_per_load: SMatrix<f64, RANK, GAGES>,
     /// b (p), counts: the codes with no load.
     pub bias_counts: SVector<f64, GAGES>,
@@ -21,6 +25,10 @@ pub struct TrialSolution<const GAGES: usize, const RANK: usize> {
     pub noise_variance: Option<f64>,
     /// Samples that took part.
     pub samples: u64,
+    /// Where the load has been, in the orientation of the shape.
+    pub directions: DirectionMoments<RANK>,
+    /// How well shape and bias are known.
+    pub uncertainty: TrialUncertainty<RANK>,
 }
 
 /// The fewest samples a trial of this rank needs: twice the unknowns of the metric constraint, since fewer fit exactly
@@ -57,12 +65,30 @@ pub fn solve_trial<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
     // M = LLᵀ makes m = Lᵀ(x − c) a unit vector, so z = b + V*Λ^½L⁻ᵀm: A = L⁻¹ in eq. 11, with Ŝ = Λ^½V*ᵀ.
     let factor = Cholesky::new(metric.matrix).ok_or(Refusal::MetricNotPositiveDefinite)?;
     let indeterminate_shape = SMatrix::<f64, RANK, RANK>::from_diagonal(&deviations) * vectors.transpose();
-    let shape_counts_per_load =
+    let shape =
         factor.l().solve_lower_triangular(&indeterminate_shape).ok_or(Refusal::MetricNotPositiveDefinite)?;
+    // The orientation is arbitrary, so it is chosen: rows orthogonal, longest first.
+    let principal = symmetric_eigen(&(shape * shape.transpose()))?;
+    let orientation = principal.vectors.transpose();
+    let shape_counts_per_load = orientation * shape;
     let bias_counts = moments.mean_counts() + indeterminate_shape.transpose() * metric.centre;
+
+    let to_direction = orientation * factor.l().transpose();
+    let central = whitened.without_noise(&whitened_noise).transformed(&to_direction);
+    let directions = DirectionMoments::new(to_direction * -metric.centre, &central);
+    let uncertainty =
+        predict(&directions, &principal.values, noise_variance.unwrap_or(0.0), metric.unexplained, samples)?;
 
     if shape_counts_per_load.iter().chain(bias_counts.iter()).any(|element| !element.is_finite()) {
         return Err(Refusal::NonFinite);
     }
-    Ok(TrialSolution { shape_counts_per_load, bias_counts, eigenvalues, noise_variance, samples })
+    Ok(TrialSolution {
+        shape_counts_per_load,
+        bias_counts,
+        eigenvalues,
+        noise_variance,
+        samples,
+        directions,
+        uncertainty,
+    })
 }

@@ -1,0 +1,125 @@
+//! The distribution of the load's directions, as far as moments up to degree four tell it.
+//!
+//! The covariance of the metric constraint needs moments of degree six of the direction m, which nobody sums up. But the
+//! density of m on the unit sphere is known up to degree four: its part of degree l at a direction q is
+//! (2l + 1)·E[Pₗ(q·m)] in space and 2·E[Tₗ(q·m)] in the plane (addition theorem; Legendre and Chebyshev polynomials). The
+//! parts beyond degree four are taken as zero; moments of degree six are then sums over a quadrature that is exact for
+//! degree ten.
+
+use nalgebra::{SMatrix, SVector};
+
+use super::projection::MotionMoments;
+
+/// Nodes and weights of the Gauss-Legendre rule of six points on [−1, 1], positive half.
+const LEGENDRE: [(f64, f64); 3] = [
+    (0.238_619_186_083_196_9, 0.467_913_934_572_691),
+    (0.661_209_386_466_264_5, 0.360_761_573_048_138_6),
+    (0.932_469_514_203_152, 0.171_324_492_379_170_35),
+];
+
+/// Steps around the circle: exact for degree ten.
+const AROUND: usize = 12;
+
+/// Moments of the load's direction m about zero, less the noise; |m| = 1 on average.
+#[derive(Clone, Debug)]
+pub struct DirectionMoments<const RANK: usize> {
+    /// E[m].
+    pub first: SVector<f64, RANK>,
+    /// Degrees two to four.
+    pub higher: MotionMoments<RANK>,
+}
+
+impl<const RANK: usize> DirectionMoments<RANK> {
+    /// From central moments and the mean.
+    pub fn new(mean: SVector<f64, RANK>, central: &MotionMoments<RANK>) -> Self {
+        Self { higher: central.about_zero(&mean), first: mean }
+    }
+
+    /// E[mmᵀ].
+    pub fn second(&self) -> SMatrix<f64, RANK, RANK> {
+        SMatrix::from_fn(|a, b| self.higher.second[a][b])
+    }
+
+    /// The density of m at direction `at`, relative to the uniform one; no less than zero.
+    pub fn density(&self, at: &SVector<f64, RANK>) -> f64 {
+        let [t1, t2, t3, t4] = self.powers(at);
+        let density = if RANK == 2 {
+            1.0 + 2.0 * (t1 + (2.0 * t2 - 1.0) + (4.0 * t3 - 3.0 * t1) + (8.0 * t4 - 8.0 * t2 + 1.0))
+        } else {
+            1.0 + 3.0 * t1
+                + 5.0 * (3.0 * t2 - 1.0) / 2.0
+                + 7.0 * (5.0 * t3 - 3.0 * t1) / 2.0
+                + 9.0 * (35.0 * t4 - 30.0 * t2 + 3.0) / 8.0
+        };
+        density.max(0.0)
+    }
+
+    /// E[(q·m)ᵏ] for k = 1 … 4.
+    fn powers(&self, q: &SVector<f64, RANK>) -> [f64; 4] {
+        let mut powers = [self.first.dot(q), 0.0, 0.0, 0.0];
+        for a in 0..RANK {
+            for b in 0..RANK {
+                let ab = q[a] * q[b];
+                powers[1] += ab * self.higher.second[a][b];
+                for c in 0..RANK {
+                    let abc = ab * q[c];
+                    powers[2] += abc * self.higher.third[a][b][c];
+                    for d in 0..RANK {
+                        powers[3] += abc * q[d] * self.higher.fourth[a][b][c][d];
+                    }
+                }
+            }
+        }
+        powers
+    }
+}
+
+/// Visits directions all over the unit sphere or circle with weights that sum to one.
+pub fn for_each_direction<const RANK: usize>(mut visit: impl FnMut(SVector<f64, RANK>, f64)) {
+    let step = core::f64::consts::TAU / AROUND as f64;
+    for around in 0..AROUND {
+        let angle = (around as f64 + 0.5) * step;
+        let (sine, cosine) = libm::sincos(angle);
+        if RANK == 2 {
+            visit(direction([cosine, sine, 0.0]), 1.0 / AROUND as f64);
+            continue;
+        }
+        for (height, weight) in LEGENDRE {
+            let radius = libm::sqrt(1.0 - height * height);
+            for height in [height, -height] {
+                visit(direction([radius * cosine, radius * sine, height]), weight / 2.0 / AROUND as f64);
+            }
+        }
+    }
+}
+
+fn direction<const RANK: usize>(components: [f64; 3]) -> SVector<f64, RANK> {
+    SVector::from_fn(|axis, _| components[axis])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::for_each_direction;
+    use nalgebra::{Vector2, Vector3};
+
+    /// E[x²] = 1/3, E[x⁴] = 1/5, E[x²y²] = 1/15, E[x⁶] = 1/7, E[x¹⁰] = 1/11 on the sphere; 1/2, 3/8 and 63/256 on the circle.
+    #[test]
+    fn the_quadrature_is_exact() {
+        let mut sums = [0.0; 6];
+        for_each_direction(|q: Vector3<f64>, weight| {
+            let terms = [1.0, q.x.powi(2), q.z.powi(4), q.x.powi(2) * q.y.powi(2), q.y.powi(6), q.x.powi(10)];
+            sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += weight * term);
+        });
+        for (sum, exact) in sums.into_iter().zip([1.0, 1.0 / 3.0, 0.2, 1.0 / 15.0, 1.0 / 7.0, 1.0 / 11.0]) {
+            assert!((sum - exact).abs() < 1e-14, "{sum} {exact}");
+        }
+        let mut sums = [0.0; 3];
+        for_each_direction(|q: Vector2<f64>, weight| {
+            let terms = [q.x.powi(2), q.y.powi(4), q.x.powi(10)];
+            sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += weight * term);
+        });
+        for (sum, exact) in sums.into_iter().zip([0.5, 0.375, 63.0 / 256.0]) {
+            assert!((sum - exact).abs() < 1e-14, "{sum} {exact}");
+        }
+    }
+}

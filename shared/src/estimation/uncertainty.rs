@@ -1,0 +1,149 @@
+//! How well one trial knows its shape and bias, from the same moments (design § 4).
+//!
+//! Let SSᵀ = diag(g), which the trial's canonical orientation makes it. Errors of S and b come from two places:
+//!
+//! 1. **Along the shape.** The metric constraint says |m|² = 1 + mᵀEm + hᵀm + noise of variance
+//!    v(m) = 4 mᵀDm + 2 tr D² + u, where D = σ² diag(1/g) is the noise of m and u whatever else disturbs the
+//!    magnitude. With φ(m) the products mₐm_b and the mₐ, Ψ = E[φφᵀ]:
+//!    cov(E, h) = Ψ⁻¹ E[φφᵀ v] Ψ⁻¹ / n. Then δS = (E/2) S and δb = Sᵀh/2. The orientation is arbitrary, so the answer is given
+//!    for the orientation closest to the truth, where δS Sᵀ is symmetric: element (a, b) of E/2 counts 2gₐ/(gₐ + g_b)
+//!    times.
+//! 2. **Across it**, in the p − r redundant directions of the codes, S and b are a linear regression on (m, 1):
+//!    covariance σ² (n E[(m, 1)(m, 1)ᵀ])⁻¹ in every such direction.
+
+use nalgebra::{Cholesky, SMatrix, SVector};
+
+use super::directions::{DirectionMoments, for_each_direction};
+use super::quadric::{Coefficients, UNKNOWNS, linear_position, monomials, normal_matrix, product_position};
+use crate::refusal::Refusal;
+
+/// Components of (m, 1) at rank 3.
+const REGRESSORS: usize = 4;
+
+/// Covariances of one trial.
+#[derive(Clone, Debug)]
+pub struct TrialUncertainty<const RANK: usize> {
+    /// Of the elements of E/2 (a ≤ b), then of h/2: relative to the shape, and to the load.
+    along: SMatrix<f64, UNKNOWNS, UNKNOWNS>,
+    /// Of the regression on (m, 1), counts², in every redundant direction of the codes.
+    across: SMatrix<f64, REGRESSORS, REGRESSORS>,
+}
+
+/// Predicts the uncertainty of a trial of `samples` samples.
+///
+/// `directions` are the moments of m in the orientation in which SSᵀ = diag(`gains_squared`), counts²; `noise_variance` is that of
+/// one channel, counts² (zero where it is not known: it is then part of `unexplained`), and `unexplained` the variance of
+/// |m|² that is not noise.
+///
+/// # Errors
+///
+/// [`Refusal::MotionDoesNotSpan`] where the directions do not determine the answer.
+pub fn predict<const RANK: usize>(
+    directions: &DirectionMoments<RANK>,
+    gains_squared: &SVector<f64, RANK>,
+    noise_variance: f64,
+    unexplained: f64,
+    samples: u64,
+) -> Result<TrialUncertainty<RANK>, Refusal> {
+    let undetermined = Refusal::MotionDoesNotSpan { relative_uncertainty: f32::INFINITY, need: 1.0 };
+    let noise = gains_squared.map(|gain| noise_variance / gain);
+    let least_noise = noise.min();
+    let constant = 4.0 * least_noise + 2.0 * noise.norm_squared() + unexplained;
+
+    // Ψ, and E[φφᵀ v] with the constant part of v exactly and the rest over the directions.
+    let normal = normal_matrix(&directions.higher);
+    let mut spread = normal * constant;
+    for_each_direction(|m: SVector<f64, RANK>, weight| {
+        let excess: f64 = (0..RANK).map(|a| (noise[a] - least_noise) * m[a] * m[a]).sum();
+        let phi = monomials(&m);
+        spread += phi * phi.transpose() * (4.0 * excess * weight * directions.density(&m));
+    });
+    let inverse = Cholesky::new(normal).ok_or(undetermined)?.inverse();
+    let halves = Coefficients::from_fn(|position, _| half::<RANK>(position));
+    let along =
+        (inverse * spread * inverse / samples.max(1) as f64).component_mul(&(halves * halves.transpose()));
+
+    let mut regression = SMatrix::<f64, REGRESSORS, REGRESSORS>::identity();
+    for a in 0..RANK {
+        for b in 0..RANK {
+            regression[(a, b)] = directions.higher.second[a][b];
+        }
+        regression[(a, REGRESSORS - 1)] = directions.first[a];
+        regression[(REGRESSORS - 1, a)] = directions.first[a];
+    }
+    let across =
+        Cholesky::new(regression).ok_or(undetermined)?.inverse() * (noise_variance / samples.max(1) as f64);
+    if along.iter().chain(across.iter()).all(|element| element.is_finite()) {
+        Ok(TrialUncertainty { along, across })
+    } else {
+        Err(Refusal::NonFinite)
+    }
+}
+
+impl<const RANK: usize> TrialUncertainty<RANK> {
+    /// Standard deviations of the elements of `shape` (r × p, counts per unit load, rows orthogonal), up to its
+    /// orientation.
+    pub fn shape_deviation<const GAGES: usize>(
+        &self,
+        shape: &SMatrix<f64, RANK, GAGES>,
+    ) -> SMatrix<f64, RANK, GAGES> {
+        let gains = SVector::<f64, RANK>::from_fn(|a, _| shape.row(a).norm_squared());
+        SMatrix::from_fn(|a, gage| {
+            let mut gradient = Coefficients::zeros();
+            for b in 0..RANK {
+                let turned = 2.0 * gains[a] / (gains[a] + gains[b]);
+                gradient[product_position::<RANK>(a, b)] += turned * shape[(b, gage)];
+            }
+            let along = gradient.dot(&(self.along * gradient));
+            libm::sqrt((along + self.across[(a, a)] * redundant_share(shape, &gains, gage)).max(0.0))
+        })
+    }
+
+    /// Standard deviations of the bias (p), counts.
+    pub fn bias_deviation<const GAGES: usize>(
+        &self,
+        shape: &SMatrix<f64, RANK, GAGES>,
+    ) -> SVector<f64, GAGES> {
+        let gains = SVector::<f64, RANK>::from_fn(|a, _| shape.row(a).norm_squared());
+        let last = REGRESSORS - 1;
+        SVector::from_fn(|gage, _| {
+            let mut gradient = Coefficients::zeros();
+            for a in 0..RANK {
+                gradient[linear_position::<RANK>(a)] = shape[(a, gage)];
+            }
+            let along = gradient.dot(&(self.along * gradient));
+            libm::sqrt((along + self.across[(last, last)] * redundant_share(shape, &gains, gage)).max(0.0))
+        })
+    }
+
+    /// The largest standard deviation of any gain, cross-talk or offset, relative to the load.
+    pub fn worst_relative(&self) -> f64 {
+        libm::sqrt(
+            (0..linear_position::<RANK>(RANK))
+                .map(|position| self.along[(position, position)])
+                .fold(0.0, f64::max),
+        )
+    }
+}
+
+/// How much of one gage lies in the redundant directions of the codes: the diagonal of I − Sᵀ(SSᵀ)⁻¹S.
+fn redundant_share<const GAGES: usize, const RANK: usize>(
+    shape: &SMatrix<f64, RANK, GAGES>,
+    gains_squared: &SVector<f64, RANK>,
+    gage: usize,
+) -> f64 {
+    let spanned: f64 = (0..RANK).map(|a| shape[(a, gage)] * shape[(a, gage)] / gains_squared[a]).sum();
+    (1.0 - spanned).max(0.0)
+}
+
+/// What turns a coefficient of φ into an element of E/2 or h/2: E stands twice in a product of different components.
+const fn half<const RANK: usize>(position: usize) -> f64 {
+    let mut a = 0;
+    while a < RANK {
+        if position == product_position::<RANK>(a, a) || position == linear_position::<RANK>(a) {
+            return 0.5;
+        }
+        a += 1;
+    }
+    0.25
+}
