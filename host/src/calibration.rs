@@ -17,6 +17,7 @@
 //! | [`handedness`] | rotation or mirror image, proven or refused |
 //! | [`fusion`] | true shape from several arms |
 //! | [`matrix`] | calibration matrix of a shape |
+//! | [`singular`] | the decomposition that several of these rest on |
 //! | [`least_squares`] | the paper's reference: known loads alone (eq. 3) |
 //! | [`refusal`] | why there is no calibration |
 //! | [`evidence`] | all of this from a session file |
@@ -35,6 +36,7 @@ pub mod least_squares;
 pub mod matrix;
 pub mod motion;
 pub mod refusal;
+pub mod singular;
 pub mod trial;
 pub mod turning;
 pub mod upload;
@@ -48,17 +50,21 @@ use ftcal_shared::units::Dof;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-use self::fusion::Stack;
+use self::fusion::{Fused, Stack};
 use self::known_load::LoadCase;
 use self::matrix::matrix_of_shape;
 use self::motion::TrialUncertainty;
+use self::singular::Singular;
 use self::trial::{SampleCounts, TrialShape};
 use self::turning::Turned;
 
 pub use self::refusal::CalibrationRefusal;
 
-/// The largest predicted error of the fused shape, relative, that is still a calibration.
-const LARGEST_RELATIVE_ERROR: f64 = 0.2;
+/// The largest predicted error of a wrench, relative, that is still a calibration.
+const LARGEST_WRENCH_ERROR: f64 = 0.15;
+
+/// The weakest response of the gages over the strongest below which it is the sensor that makes a wrench uncertain.
+const LEAST_RESPONSE: f64 = 0.02;
 
 /// How far the biases of trials may be apart, as a share of the signal of their loads, beyond their uncertainty.
 const LARGEST_BIAS_DISAGREEMENT: f64 = 0.05;
@@ -195,15 +201,10 @@ pub fn calibrate(dof: Dof, gravity: f64, trials: &[SolvedTrial]) -> Result<Calib
     }
     let arms = Stack::new(dof, &trials.iter().map(|trial| &trial.case.arm_m).collect::<Vec<_>>())?;
     let proven = handedness::prove(trials, &alignments, &arms, gravity)?;
-    let relative_error = proven.consistency.relative_error;
-    let certain = relative_error <= LARGEST_RELATIVE_ERROR;
-    if !certain {
-        return Err(CalibrationRefusal::FusionUncertain { relative_error, need: LARGEST_RELATIVE_ERROR });
-    }
     let bias_counts = common_bias(trials)?;
     let shapes: Vec<DMatrix<f64>> = proven.oriented.iter().map(|trial| trial.shape.clone()).collect();
     let fused = arms.fuse(&shapes);
-    require_response(&fused.shape, &arms.lengths, relative_error)?;
+    require_certain(&fused, &arms, proven.consistency.wrench_error)?;
     let matrix = matrix_of_shape(&fused.shape).map_err(|_| CalibrationRefusal::ShapeRankDeficient)?;
     let records = trials.iter().zip(&alignments).zip(proven.hands.iter().zip(&proven.evidence)).map(
         |((trial, alignment), (&hand, &evidence))| TrialRecord {
@@ -281,20 +282,18 @@ fn common_bias(trials: &[SolvedTrial]) -> Result<DVector<f64>, CalibrationRefusa
     Ok(mean)
 }
 
-/// Refuses a shape with a component to which the gages respond no more than its error could feign.
-fn require_response(
-    shape: &DMatrix<f64>,
-    lengths: &DVector<f64>,
-    relative_error: f64,
-) -> Result<(), CalibrationRefusal> {
-    let mut scaled = shape.clone();
-    for (mut row, &length) in scaled.row_iter_mut().zip(lengths) {
+/// Refuses a shape whose wrenches would be too uncertain. Either the gages hardly respond to some component of the load, or
+/// the evidence is too rough for the arms.
+fn require_certain(fused: &Fused, arms: &Stack, wrench_error: f64) -> Result<(), CalibrationRefusal> {
+    if wrench_error <= LARGEST_WRENCH_ERROR {
+        return Ok(());
+    }
+    let mut scaled = fused.shape.clone();
+    for (mut row, &length) in scaled.row_iter_mut().zip(&arms.lengths) {
         row *= length;
     }
-    // The error is spread over all m components.
-    let feigned = relative_error * scaled.norm() / (scaled.nrows() as f64).sqrt();
-    if scaled.singular_values().min() > feigned {
-        Ok(())
+    if Singular::of(&scaled).condition() > LEAST_RESPONSE {
+        Err(CalibrationRefusal::FusionUncertain { wrench_error, need: LARGEST_WRENCH_ERROR })
     } else {
         Err(CalibrationRefusal::ShapeRankDeficient)
     }

@@ -40,20 +40,20 @@ const CHECKSUM: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 #[derive(Debug, thiserror::Error)]
 pub enum CalibrationFileError {
     /// The file cannot be read at all.
-    #[error("{file}: cannot be read: {source}")]
+    #[error("{file}: cannot be read: {reason}")]
     Unreadable {
         /// The file.
         file: String,
         /// What the system said.
-        source: io::Error,
+        reason: io::Error,
     },
     /// The file is not JSON, or a field is missing, unknown or of another type.
-    #[error("{file}: expected a calibration file: {source}")]
+    #[error("{file}: expected a calibration file: {reason}")]
     Malformed {
         /// The file.
         file: String,
         /// What was expected and found, with line and column.
-        source: serde_json::Error,
+        reason: serde_json::Error,
     },
     /// Another format, or a later version.
     #[error("{file}: field `format`: expected `{FORMAT}`, found `{found}`")]
@@ -152,7 +152,7 @@ pub fn write(calibration: &Calibration, mut out: impl Write) -> io::Result<()> {
 pub fn read(path: &Path) -> Result<Calibration, CalibrationFileError> {
     let file = shown(path);
     let bytes = std::fs::read(path)
-        .map_err(|source| CalibrationFileError::Unreadable { file: file.clone(), source })?;
+        .map_err(|reason| CalibrationFileError::Unreadable { file: file.clone(), reason })?;
     parse(&bytes, &file)
 }
 
@@ -162,7 +162,7 @@ pub fn read(path: &Path) -> Result<Calibration, CalibrationFileError> {
 ///
 /// [`CalibrationFileError`].
 pub fn parse(bytes: &[u8], name: &str) -> Result<Calibration, CalibrationFileError> {
-    let malformed = |source| CalibrationFileError::Malformed { file: name.to_owned(), source };
+    let malformed = |reason| CalibrationFileError::Malformed { file: name.to_owned(), reason };
     let Header { format } = serde_json::from_slice(bytes).map_err(malformed)?;
     if format != FORMAT {
         return Err(CalibrationFileError::Format { file: name.to_owned(), found: format });

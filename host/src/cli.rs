@@ -13,7 +13,12 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-use crate::commands::{Failure, Streams, apply, calibrate, eval, print_refusal, solve};
+#[cfg(unix)]
+use crate::commands::sim;
+use crate::commands::{
+    Failure, Streams, apply, calibrate, demo, eval, flash, info, ports, print_refusal, record, solve, stream,
+    trial, upload,
+};
 
 /// Input that cannot be used.
 const UNUSABLE: u8 = 2;
@@ -24,15 +29,18 @@ const REFUSED: u8 = 3;
 /// Calibrates force/torque sensors by shape from motion
 #[derive(Parser, Clone, Debug)]
 #[command(name = "ftcal", version)]
+#[command(after_help = "Without a command, the demonstration runs: `ftcal demo`.")]
 pub struct Cli {
     /// What to do
     #[command(subcommand)]
-    pub command: Command,
+    command: Option<Command>,
 }
 
 /// The subcommands.
 #[derive(Subcommand, Clone, Debug)]
 pub enum Command {
+    /// Run the demonstration.
+    Demo(demo::Arguments),
     /// Solve one trial.
     Solve(solve::Arguments),
     /// Calibrate from a session.
@@ -41,16 +49,46 @@ pub enum Command {
     Apply(apply::Arguments),
     /// Evaluate a calibration.
     Eval(eval::Arguments),
+    /// List the serial ports.
+    Ports(ports::Arguments),
+    /// Tell who the sensor is and how it is.
+    Info(info::Arguments),
+    /// Record the raw codes of every gage.
+    Record(record::Arguments),
+    /// Run a trial on the sensor itself.
+    Trial(trial::Arguments),
+    /// Upload a calibration to the sensor and read it back.
+    Upload(upload::Arguments),
+    /// Stream forces and torques as the sensor measures them.
+    Stream(stream::Arguments),
+    /// Serve a simulated sensor on a pseudo-terminal.
+    ///
+    /// Prints the port's path on standard output, for the --port of the other commands. Type `help` while it runs to
+    /// see what can be done at the bench: hang another load, hold still, break a gage.
+    #[cfg(unix)]
+    Sim(sim::Arguments),
+    /// Write the firmware to the sensor through a debug probe.
+    Flash(flash::Arguments),
 }
 
 impl Command {
     /// Does what the command says.
     fn run(&self, streams: &mut Streams) -> Result<(), Failure> {
         match self {
+            Self::Demo(arguments) => demo::run(arguments, streams),
             Self::Solve(arguments) => solve::run(arguments, streams),
             Self::Calibrate(arguments) => calibrate::run(arguments, streams),
             Self::Apply(arguments) => apply::run(arguments, streams),
             Self::Eval(arguments) => eval::run(arguments, streams),
+            Self::Ports(arguments) => ports::run(arguments, streams),
+            Self::Info(arguments) => info::run(arguments, streams),
+            Self::Record(arguments) => record::run(arguments, streams),
+            Self::Trial(arguments) => trial::run(arguments, streams),
+            Self::Upload(arguments) => upload::run(arguments, streams),
+            Self::Stream(arguments) => stream::run(arguments, streams),
+            #[cfg(unix)]
+            Self::Sim(arguments) => sim::run(arguments, streams),
+            Self::Flash(arguments) => flash::run(arguments, streams),
         }
     }
 
@@ -59,21 +97,25 @@ impl Command {
         match self {
             Self::Solve(solve::Arguments { json, .. })
             | Self::Calibrate(calibrate::Arguments { json, .. })
-            | Self::Eval(eval::Arguments { json, .. }) => *json,
-            Self::Apply(_) => false,
+            | Self::Eval(eval::Arguments { json, .. })
+            | Self::Info(info::Arguments { json, .. }) => *json,
+            Self::Trial(arguments) => arguments.json(),
+            _ => false,
         }
     }
 }
 
 /// Runs a command and turns its outcome into words and an exit code.
 pub fn run(cli: &Cli, streams: &mut Streams) -> ExitCode {
-    let outcome = cli.command.run(streams).and_then(|()| Ok(streams.data.flush()?));
+    let demonstration = Command::Demo(demo::Arguments::default());
+    let command = cli.command.as_ref().unwrap_or(&demonstration);
+    let outcome = command.run(streams).and_then(|()| Ok(streams.data.flush()?));
     // Where words cannot be written either, the exit code is all that is left to say.
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
         // Whoever read the data has read enough.
         Err(Failure::Output(error)) if error.kind() == io::ErrorKind::BrokenPipe => ExitCode::SUCCESS,
-        Err(Failure::Refused(refusal)) if cli.command.json() => {
+        Err(Failure::Refused(refusal)) if command.json() => {
             let _ = print_refusal(&refusal, streams.data).and_then(|()| streams.data.flush());
             ExitCode::from(REFUSED)
         }

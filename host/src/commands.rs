@@ -5,8 +5,26 @@
 
 pub mod apply;
 pub mod calibrate;
+pub mod capture;
+pub mod demo;
+pub mod device;
 pub mod eval;
+pub mod flash;
+pub mod info;
+pub mod output;
+pub mod ports;
+pub mod record;
+#[cfg(unix)]
+pub mod sim;
 pub mod solve;
+pub mod stream;
+pub mod trial;
+pub mod upload;
+
+#[cfg(all(unix, test))]
+mod device_tests;
+#[cfg(test)]
+mod offline_tests;
 
 use std::io::{self, Write};
 

@@ -249,11 +249,11 @@ pub fn calibration(refusal: &CalibrationRefusal) -> Explained {
             format!("the ends of the {arms} arms lie on one line: the torque about it is never seen"),
             "Add a trial with the mass at an arm off that line.",
         ),
-        CalibrationRefusal::FusionUncertain { relative_error, need } => Explained::new(
+        CalibrationRefusal::FusionUncertain { wrench_error, need } => Explained::new(
             "fusion-uncertain",
             format!(
                 "directions, arms and masses fix the answer only within {:.0} % (at most {:.0} % is accepted)",
-                100.0 * relative_error,
+                100.0 * wrench_error,
                 100.0 * need
             ),
             "Put the arms farther apart, or know the directions of the known loads better.",
@@ -321,7 +321,7 @@ mod tests {
             CalibrationRefusal::TooFewArms { have: 2, need: 3 },
             CalibrationRefusal::ArmsEqual { arms: 3, spread_m: 1e-4 },
             CalibrationRefusal::ArmsCollinear { arms: 3 },
-            CalibrationRefusal::FusionUncertain { relative_error: 0.5, need: 0.2 },
+            CalibrationRefusal::FusionUncertain { wrench_error: 0.5, need: 0.25 },
             CalibrationRefusal::BiasesDisagree { trial, counts: 1e4, signal_counts: 1e5 },
             CalibrationRefusal::TooFewGages { gages: 4, need: 6 },
             CalibrationRefusal::ShapeRankDeficient,

@@ -17,7 +17,7 @@
 //! ```
 //!
 //! Unknown fields are errors. Every error names line, column, what was expected and what stood there. What is read here
-//! is plain and checked; [`raw`] holds the file as it is spelled.
+//! is plain and checked; the module `raw` holds the file as it is spelled.
 
 mod raw;
 
@@ -104,12 +104,12 @@ pub enum Turning {
 #[derive(Debug, thiserror::Error)]
 pub enum SessionError {
     /// The file cannot be read at all.
-    #[error("{file}: cannot be read: {source}")]
+    #[error("{file}: cannot be read: {reason}")]
     Unreadable {
         /// The file.
         file: String,
         /// What the system said.
-        source: std::io::Error,
+        reason: std::io::Error,
     },
     /// The file is not TOML, or not the TOML of a session.
     #[error("{file}: {place}: {message}")]
@@ -143,7 +143,7 @@ impl Session {
     /// [`SessionError`].
     pub fn read(path: &Path) -> Result<Self, SessionError> {
         let bytes =
-            std::fs::read(path).map_err(|source| SessionError::Unreadable { file: shown(path), source })?;
+            std::fs::read(path).map_err(|reason| SessionError::Unreadable { file: shown(path), reason })?;
         Self::parse(&bytes, path)
     }
 
@@ -189,6 +189,8 @@ mod tests {
     use std::path::{Path, PathBuf};
 
     use ftcal_shared::units::Dof;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
 
     use super::{Rest, Session, SessionError, Turning};
     use crate::place::Place;
@@ -292,6 +294,26 @@ accuracy_deg = 0.2
         place_of_error("");
         place_of_error("dof = \"planar-force\"\n");
         place_of_error("dof = \"planar-force\"\ntrial = []\n");
+    }
+
+    #[test]
+    fn no_damage_to_a_session_makes_the_reader_panic() {
+        let mut random = ChaCha8Rng::seed_from_u64(1);
+        for _ in 0..2000 {
+            let mut bytes = WRIST.as_bytes().to_vec();
+            for _ in 0..random.random_range(1..4) {
+                if bytes.is_empty() {
+                    break;
+                }
+                let at = random.random_range(0..bytes.len());
+                match random.random_range(0..3) {
+                    0 => bytes[at] = random.random(),
+                    1 => drop(bytes.remove(at)),
+                    _ => bytes.truncate(at),
+                }
+            }
+            let _ = Session::parse(&bytes, Path::new("s.toml"));
+        }
     }
 
     #[test]

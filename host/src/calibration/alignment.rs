@@ -15,6 +15,7 @@ use super::CalibrationRefusal;
 use super::known_load::{KnownLoad, LoadCase};
 use super::matrix::matrix_of_shape;
 use super::motion::TrialUncertainty;
+use super::singular::Singular;
 use super::trial::TrialShape;
 
 /// Relative error to be expected of any sensor as a linear model: gage amplifiers are linear to about a thousandth.
@@ -188,18 +189,15 @@ fn best(rank: usize, sights: &[Sight], hand: Hand) -> Candidate {
     for Sight { seen, known, deviation_rad } in sights {
         profile += known * seen.transpose() / (deviation_rad * deviation_rad);
     }
-    let decomposition = profile.svd(true, true);
-    let identity = || DMatrix::identity(rank, rank);
-    let left = decomposition.u.unwrap_or_else(identity);
-    let right_transposed = decomposition.v_t.unwrap_or_else(identity);
+    let Singular { left, right, .. } = Singular::of(&profile);
     let wanted = match hand {
         Hand::Rotation => 1.0,
         Hand::MirrorImage => -1.0,
     };
     // Where the hand asks for it, the weakest direction is turned over: it costs the least.
     let mut signs = DVector::from_element(rank, 1.0);
-    signs[rank - 1] = wanted * (left.determinant() * right_transposed.determinant()).signum();
-    let orientation = left * DMatrix::from_diagonal(&signs) * right_transposed;
+    signs[rank - 1] = wanted * (left.determinant() * right.determinant()).signum();
+    let orientation = left * DMatrix::from_diagonal(&signs) * right.transpose();
     let angles_rad: Vec<f64> =
         sights.iter().map(|sight| angle(&(&orientation * &sight.seen), &sight.known)).collect();
     let misfit =

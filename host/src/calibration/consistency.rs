@@ -11,13 +11,14 @@
 //! with d the part of the stacked shapes that no S̃ explains (eq. 20), Dₖ what change k adds to it, and W the inverse
 //! standard deviations of the trials' coefficients. For trials that belong together it is about the number of degrees
 //! of freedom, (rN − m)·p; a wrong mass, arm or mirror image makes it far larger. The same changes, carried through the
-//! pseudo-inverse instead, predict the error of S̃.
+//! pseudo-inverses instead, predict the error of a wrench.
 
 use nalgebra::{DMatrix, DVector};
 
 use super::alignment::MODEL_ERROR;
 use super::fusion::{Stack, stack};
 use super::known_load::squashing_matrix;
+use super::matrix::matrix_of_shape;
 
 /// Standard deviation of an arm's components where the session states none: a fixture made and measured with care, metre.
 pub const ARM_ACCURACY_M: f64 = 2e-4;
@@ -45,8 +46,8 @@ pub struct Consistency {
     pub misfit: f64,
     /// The degrees of freedom: the misfit to be expected.
     pub freedom: usize,
-    /// Predicted error of S̃ over S̃, both with torque rows scaled by the characteristic arm length.
-    pub relative_error: f64,
+    /// Predicted error of a wrench, relative, torques scaled by the characteristic arm length.
+    pub wrench_error: f64,
 }
 
 /// Compares trials with each other.
@@ -83,20 +84,26 @@ pub fn consistency(trials: &[OrientedTrial], arms: &Stack) -> Consistency {
     let left: DMatrix<f64> =
         directions.iter().zip(&chosen).fold(misfit, |left, (direction, &by)| left + direction * by);
 
-    let gages = stacked.ncols();
-    let noise: f64 = arms
-        .inverse
-        .column_iter()
-        .enumerate()
-        .map(|(row, column)| column.norm_squared() * deviations[row * trials.len() / stacked.nrows()].powi(2))
-        .sum::<f64>()
-        * gages as f64;
-    let carried: f64 = changes.iter().map(|change| (&arms.inverse * change).norm_squared()).sum();
     Consistency {
         misfit: left.norm_squared() + chosen.norm_squared(),
-        freedom: (stacked.nrows() - fused.nrows().min(stacked.nrows())) * gages,
-        relative_error: (noise + carried).sqrt() / fused.norm(),
+        freedom: (stacked.nrows() - fused.nrows().min(stacked.nrows())) * stacked.ncols(),
+        wrench_error: wrench_error(&fused, &changes, &deviations, arms),
     }
+}
+
+/// The predicted error of a wrench, relative: the root mean square of CδS̃ᵀ over the wrenches of length one, torques
+/// divided by the characteristic arm length. Infinite where the shape cannot be inverted.
+fn wrench_error(fused: &DMatrix<f64>, changes: &[DMatrix<f64>], deviations: &[f64], arms: &Stack) -> f64 {
+    let Ok(matrix) = matrix_of_shape(fused) else { return f64::INFINITY };
+    let rows = arms.inverse.ncols();
+    let independent = arms.inverse.column_iter().enumerate().map(|(row, column)| {
+        let deviation = deviations[row * deviations.len() / rows];
+        column.norm_squared() * deviation * deviation
+    });
+    let noise = matrix.norm_squared() * independent.sum::<f64>();
+    let carried: f64 =
+        changes.iter().map(|change| (&matrix * (&arms.inverse * change).transpose()).norm_squared()).sum();
+    ((noise + carried) / fused.nrows() as f64).sqrt()
 }
 
 impl OrientedTrial {
@@ -237,7 +244,7 @@ mod tests {
         }
         let scaled = compare(&trials);
         assert!((scaled.misfit / plain.misfit - 1.0).abs() < 1e-6);
-        assert!((scaled.relative_error / plain.relative_error - 1.0).abs() < 1e-6);
+        assert!((scaled.wrench_error / plain.wrench_error - 1.0).abs() < 1e-6);
     }
 
     #[test]

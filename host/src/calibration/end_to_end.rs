@@ -2,6 +2,8 @@
 
 use ftcal_shared::units::Dof;
 use nalgebra::{DVector, Rotation3, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 
 use super::synthetic::{Rests, Sensor, flat, spatial};
 use super::{Calibration, CalibrationRefusal, HandednessEvidence, SolvedTrial, calibrate};
@@ -284,4 +286,39 @@ fn a_component_that_the_gages_do_not_see_is_refused() {
     let arms = [[0.1, 0.0, 0.05], [0.0, 0.1, 0.05], [-0.05, -0.05, 0.12]];
     let trials = arms.map(|arm| sensor.trial(2.0, &arm, &rests(PRECISE, &three())));
     assert_eq!(solve(&sensor, &trials), Err(CalibrationRefusal::ShapeRankDeficient));
+}
+
+#[test]
+fn random_sessions_are_answered_rightly_or_refused() {
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    for (dof, known_loads) in [
+        (Dof::PlanarForce, 2),
+        (Dof::PlanarForceTorque, 1),
+        (Dof::SpatialForce, 3),
+        (Dof::SpatialForceTorque, 2),
+        (Dof::SpatialForceTorque, 3),
+    ] {
+        let rank = dof.trial_rank();
+        let mut answered = 0;
+        for seed in 0..30 {
+            let mut sensor = Sensor::new(dof, dof.count() + 2, 5000 + seed);
+            let loads: Vec<DVector<f64>> = (0..known_loads).map(|_| sensor.unit()).collect();
+            let arms = if dof.has_torque() { rank } else { 1 };
+            let trials: Vec<SolvedTrial> = (0..arms)
+                .map(|_| {
+                    let components = if dof.has_torque() { rank } else { 0 };
+                    let arm: Vec<f64> =
+                        (0..components).map(|_| 0.2 * (random.random::<f64>() - 0.5)).collect();
+                    sensor.trial(1.5, &arm, &rests(PRECISE, &loads))
+                })
+                .collect();
+            if let Ok(calibration) = solve(&sensor, &trials) {
+                answered += 1;
+                // A mirror image is off by one or more; badly placed arms magnify a milliradian a hundredfold.
+                let error = sensor.error_of(&calibration.matrix);
+                assert!(error < 0.3, "{dof:?}, seed {seed}: off by {error}");
+            }
+        }
+        assert!(answered >= 25, "{dof:?}: {answered} of 30 answered");
+    }
 }

@@ -14,6 +14,7 @@ use ftcal_shared::units::Dof;
 
 use super::CalibrationRefusal;
 use super::known_load::squashing_matrix;
+use super::singular::Singular;
 
 /// Distances between arms below this share of their own scale are no distances.
 const LEAST_SPREAD: f64 = 0.01;
@@ -56,8 +57,7 @@ impl Stack {
             }
             squashing.rows_mut(rank * trial, rank).copy_from(&block);
         }
-        let collinear = CalibrationRefusal::ArmsCollinear { arms: arms_m.len() };
-        let inverse = squashing.clone().pseudo_inverse(LEAST_SPREAD * LEAST_SPREAD).map_err(|_| collinear)?;
+        let inverse = Singular::of(&squashing).pseudo_inverse(dof.count());
         Ok(Self { squashing, inverse, lengths })
     }
 
@@ -95,12 +95,8 @@ fn characteristic_length(rank: usize, arms_m: &[&DVector<f64>]) -> Result<f64, C
     let mean = arms_m.iter().copied().sum::<DVector<f64>>() / have as f64;
     let offsets = DMatrix::from_fn(rank, have, |axis, arm| arms_m[arm][axis] - mean[axis]);
     let longest = arms_m.iter().map(|arm| arm.norm()).fold(0.0, f64::max);
-    let mut spreads: Vec<f64> =
-        offsets.singular_values().iter().map(|value| value / (have as f64).sqrt()).collect();
-    spreads.sort_by(|a, b| b.total_cmp(a));
-    let length = spreads.iter().map(|spread| spread * spread).sum::<f64>().sqrt();
-    let widest = spreads.first().copied().unwrap_or(0.0);
-    let across = spreads.get(1).copied().unwrap_or(0.0);
+    let spreads = Singular::of(&offsets).values / (have as f64).sqrt();
+    let (widest, across) = (spreads[0], spreads[1]);
     let differ = widest > LEAST_SPREAD * longest;
     if !differ {
         return Err(CalibrationRefusal::ArmsEqual { arms: have, spread_m: widest });
@@ -108,7 +104,7 @@ fn characteristic_length(rank: usize, arms_m: &[&DVector<f64>]) -> Result<f64, C
     if rank == 3 && across <= LEAST_SPREAD * widest {
         return Err(CalibrationRefusal::ArmsCollinear { arms: have });
     }
-    Ok(length)
+    Ok(spreads.norm())
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@
 //!    where the all-mirrored answer fits perfectly and is wrong.
 //!
 //! Every combination of the hands still possible is measured by the sum of all its misfits. An answer is given only if
-//! it is the only one: the runner-up must be worse by [`MARGIN`], five standard deviations, and by as much more as the
+//! it is the only one: the runner-up must be worse by `MARGIN`, five standard deviations, and by as much more as the
 //! best itself fits worse than it should.
 
 use nalgebra::DMatrix;

@@ -10,10 +10,14 @@ use ftcal_shared::units::Dof;
 use nalgebra::{DMatrix, DVector};
 
 use super::known_load::{LoadCase, squashing_matrix};
+use super::singular::Singular;
 use super::{BiasOrigin, Calibration, CalibrationRefusal, Handedness, Method};
 
 /// The least singular value over the greatest, with columns brought to one length, that counts as spanned.
 const LEAST_SPAN: f64 = 0.02;
+
+/// The least singular value of the signals over the greatest below which the gages do not respond to some component.
+const LEAST_RESPONSE: f64 = 1e-9;
 
 /// The largest part of the loads, relative, that the matrix may leave unexplained.
 const LARGEST_RESIDUAL: f64 = 0.2;
@@ -85,33 +89,23 @@ fn bias(loads: &DMatrix<f64>, codes: &DMatrix<f64>) -> Option<DVector<f64>> {
         return None;
     }
     let (scaled, lengths) = unit_columns(&with_ones);
-    let solution = scaled.svd(true, true).solve(codes, 0.0).ok()?;
     let last = loads.ncols();
+    let solution = Singular::of(&scaled).pseudo_inverse(last + 1) * codes;
     Some(solution.row(last).transpose() / lengths[last])
 }
 
 /// Z⁺ of the part of Z of rank `rank`.
 fn truncated_inverse(signals: &DMatrix<f64>, rank: usize) -> Result<DMatrix<f64>, CalibrationRefusal> {
-    let decomposition = signals.clone().svd(true, true);
-    let mut values: Vec<f64> = decomposition.singular_values.iter().copied().collect();
-    values.sort_by(|a, b| b.total_cmp(a));
-    let kept = rank.checked_sub(1).and_then(|last| values.get(last)).copied().unwrap_or(0.0);
-    let largest = values.first().copied().unwrap_or(0.0);
-    let responds = kept > 1e-9 * largest;
-    if !responds {
+    let decomposition = Singular::of(signals);
+    if decomposition.rank(LEAST_RESPONSE) < rank {
         return Err(CalibrationRefusal::ShapeRankDeficient);
     }
-    let next = values.get(rank).copied().unwrap_or(0.0);
-    decomposition
-        .pseudo_inverse(f64::midpoint(kept, next))
-        .map_err(|_| CalibrationRefusal::ShapeRankDeficient)
+    Ok(decomposition.pseudo_inverse(rank))
 }
 
 /// How many directions the columns span, each brought to length one.
 fn columns_spanned(matrix: &DMatrix<f64>) -> usize {
-    let values = unit_columns(matrix).0.singular_values();
-    let floor = values.max() * LEAST_SPAN;
-    values.iter().filter(|&&value| value > floor).count()
+    Singular::of(&unit_columns(matrix).0).rank(LEAST_SPAN)
 }
 
 /// The columns at length one (those of zeros stay), and their lengths.
@@ -187,9 +181,12 @@ mod tests {
         let mut sensor = Sensor::new(Dof::SpatialForceTorque, 8, 6);
         sensor.bias_counts.fill(0.0);
         // Six loads for six components: nothing is left for the bias.
+        let [x, y, z] = [spatial(1., 0., 0.), spatial(0., 1., 0.), spatial(0., 0., 1.)];
+        let loads = [[x.clone(), y.clone()], [y, z.clone()], [z, x]];
+        let cases: Vec<LoadCase> =
+            ARMS.iter().zip(&loads).flat_map(|(&arm, loads)| cases(&sensor, &[arm], loads)).collect();
         let calibration =
-            calibrate(sensor.dof, STANDARD_GRAVITY, &cases(&sensor, &ARMS, &directions()[1..3]))
-                .expect("six known loads span everything");
+            calibrate(sensor.dof, STANDARD_GRAVITY, &cases).expect("six known loads span everything");
         assert_eq!(calibration.bias, BiasOrigin::TakenAsZero);
         assert!(sensor.error_of(&calibration.matrix) < 1e-9);
     }

@@ -3,10 +3,12 @@
 use ftcal_shared::refusal::Refusal;
 use nalgebra::DMatrix;
 
+use super::singular::Singular;
+
 /// The least singular value over the greatest, among rows brought to one length, below which rows are dependent.
 const LEAST_CONDITION: f64 = 1e-9;
 
-/// C = [Sᵀ]⁺ (m × p) of a shape S (m × p) with independent rows: newton, or newton metre, per count where S has counts
+/// C = (Sᵀ)⁺ (m × p) of a shape S (m × p) with independent rows: newton, or newton metre, per count where S has counts
 /// per newton.
 ///
 /// Rows may differ by their unit (force, torque): each is brought to length one first, which changes nothing in the
@@ -31,13 +33,12 @@ pub fn matrix_of_shape(shape: &DMatrix<f64>) -> Result<DMatrix<f64>, Refusal> {
             row /= length;
         }
     }
-    let decomposition = unit.transpose().svd(true, true);
-    let floor = decomposition.singular_values.max() * LEAST_CONDITION;
-    let independent = decomposition.singular_values.iter().filter(|&&value| value > floor).count();
+    let decomposition = Singular::of(&unit.transpose());
+    let independent = decomposition.rank(LEAST_CONDITION);
     if independent < rows {
         return Err(dependent(independent));
     }
-    let mut matrix = decomposition.pseudo_inverse(floor).map_err(|_| dependent(independent))?;
+    let mut matrix = decomposition.pseudo_inverse(rows);
     for (mut row, &length) in matrix.row_iter_mut().zip(&lengths) {
         row /= length;
     }

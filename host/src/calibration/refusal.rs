@@ -121,8 +121,8 @@ pub enum CalibrationRefusal {
     },
     /// The arms are too close together for what the directions, arms and masses are known to.
     FusionUncertain {
-        /// The predicted error of the shape, relative.
-        relative_error: f64,
+        /// The predicted error of a wrench, relative.
+        wrench_error: f64,
         /// The largest that is accepted.
         need: f64,
     },

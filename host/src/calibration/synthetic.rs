@@ -9,6 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::known_load::{KnownLoad, LoadCase, average, squashing_matrix};
+use super::singular::Singular;
 use super::turning::{Turned, swept};
 use super::{SolvedTrial, motion, trial};
 use crate::recording::Recording;
@@ -136,7 +137,7 @@ impl Sensor {
             error.row_mut(torque).scale_mut(1.0 / TORQUE_LENGTH_M);
             error.column_mut(torque).scale_mut(TORQUE_LENGTH_M);
         }
-        error.singular_values().max()
+        Singular::of(&error).values.max()
     }
 }
 

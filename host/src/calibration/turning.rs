@@ -48,7 +48,7 @@ pub struct Turned {
 /// Adds up how far the load turned each way.
 ///
 /// The angle is followed from sample to sample; a stretch one way ends where the angle comes back by more than
-/// [`LEAST_REVERSAL`].
+/// 15°.
 pub fn swept(motion: &Motion) -> Swept {
     let mut swept = Swept::default();
     let (mut angle, mut turning_point, mut extreme) = (0.0_f64, 0.0_f64, 0.0_f64);

@@ -134,7 +134,7 @@ pub struct Stage {
 /// # Errors
 ///
 /// [`DemoError`].
-pub fn run(options: &Options, out: &mut impl Write, progress: &mut impl Write) -> Result<(), DemoError> {
+pub fn run(options: &Options, out: &mut dyn Write, progress: &mut dyn Write) -> Result<(), DemoError> {
     let scenario = Scenario::new(options.scenario, options.seed)?;
     let board = SimulatedBoard::for_scenario(&scenario, options.seed)?;
     let mut stage = Stage {
@@ -155,7 +155,14 @@ pub fn run(options: &Options, out: &mut impl Write, progress: &mut impl Write) -
     let acquired = trials::acquire(&mut stage, &scenario, progress)?;
     let solved: Vec<_> = acquired.iter().map(|trial| trial.solved.clone()).collect();
     let calibration = calibrate(scenario.sensor.dof(), trials::GRAVITY, &solved)?;
-    writeln!(progress, "Oriented and fused: handedness proven, trials agree to {:.1e}.", calibration.fusion_residual)?;
+    match solved.len() {
+        1 => writeln!(progress, "Oriented by its known loads, handedness proven.")?,
+        trials => writeln!(
+            progress,
+            "Oriented, handedness proven, {trials} arms fused; they agree to {:.2} %.",
+            100.0 * calibration.fusion_residual
+        )?,
+    }
 
     std::fs::create_dir_all(&options.folder).map_err(file_error(&options.folder))?;
     let file = options.folder.join("calibration.json");

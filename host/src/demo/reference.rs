@@ -28,7 +28,7 @@ const MASS_SHARES: [f64; 3] = [1.0, 0.68, 0.36];
 pub fn calibrate(
     stage: &mut Stage,
     scenario: &Scenario,
-    progress: &mut impl Write,
+    progress: &mut dyn Write,
 ) -> Result<Calibration, DemoError> {
     writeln!(progress, "For comparison: least squares on {KNOWN_LOADS} known loads …")?;
     let dof = scenario.sensor.dof();

@@ -43,7 +43,7 @@ pub fn write(
     shape_from_motion: &Calibration,
     least_squares: &Calibration,
     measured: &[MeasuredLoad],
-    out: &mut impl Write,
+    out: &mut dyn Write,
 ) -> io::Result<()> {
     against_truth(scenario, shape_from_motion, least_squares, out)?;
     magnitudes(measured, shape_from_motion.dof, out)?;
@@ -54,7 +54,7 @@ fn against_truth(
     scenario: &Scenario,
     shape_from_motion: &Calibration,
     least_squares: &Calibration,
-    out: &mut impl Write,
+    out: &mut dyn Write,
 ) -> io::Result<()> {
     let full_load = full_load(scenario);
     let columns = [shape_from_motion, least_squares].map(|calibration| AxisErrors::of(calibration, scenario, &full_load));
@@ -114,7 +114,7 @@ impl AxisErrors {
     }
 }
 
-fn magnitudes(measured: &[MeasuredLoad], dof: Dof, out: &mut impl Write) -> io::Result<()> {
+fn magnitudes(measured: &[MeasuredLoad], dof: Dof, out: &mut dyn Write) -> io::Result<()> {
     writeln!(out, "\nForce magnitude of loads never used, over all orientations (as the paper's tables 1 and 2)")?;
     writeln!(out, "               shape from motion                 least squares")?;
     writeln!(out, "  true N      mean N   error %    std N       mean N   error %    std N")?;
@@ -132,7 +132,7 @@ fn magnitudes(measured: &[MeasuredLoad], dof: Dof, out: &mut impl Write) -> io::
     Ok(())
 }
 
-fn errors(measured: &[MeasuredLoad], dof: Dof, out: &mut impl Write) -> io::Result<()> {
+fn errors(measured: &[MeasuredLoad], dof: Dof, out: &mut dyn Write) -> io::Result<()> {
     writeln!(out, "\nAverage error of one wrench (as the paper's table 3)")?;
     writeln!(out, "                        shape from motion   least squares")?;
     let all = || measured.iter().flat_map(|load| &load.orientations);

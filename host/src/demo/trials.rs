@@ -63,31 +63,34 @@ pub struct AcquiredTrial {
 pub fn acquire(
     stage: &mut Stage,
     scenario: &Scenario,
-    progress: &mut impl Write,
+    progress: &mut dyn Write,
 ) -> Result<Vec<AcquiredTrial>, DemoError> {
     let rank = scenario.sensor.dof().trial_rank();
     let mut acquired = Vec::with_capacity(scenario.trials.len());
     for (index, trial) in scenario.trials.iter().enumerate() {
         let arm = trial.load.arm_m;
+        let place = if scenario.sensor.dof().has_torque() {
+            format!(" at ({:.3}, {:.3}, {:.3}) m", arm.x, arm.y, arm.z)
+        } else {
+            String::new()
+        };
         writeln!(
             progress,
-            "Trial {} of {}: {:.4} kg at ({:.3}, {:.3}, {:.3}) m, turned by hand for a minute …",
+            "Trial {} of {}: {:.4} kg{place}, turned by hand for a minute …",
             index + 1,
             scenario.trials.len(),
             trial.load.mass_kg,
-            arm.x,
-            arm.y,
-            arm.z
         )?;
         let (recording, solution, status) = turn_and_solve(stage, trial, rank)?;
         let shape = from_sensor(&solution, status);
         let on_host = trial::solve(&recording, rank).map_err(refused(index))?;
+        let difference = relative_difference(&shape.shape_counts_per_load, &on_host.shape_counts_per_load);
         writeln!(
             progress,
-            "  solved on the sensor from {} samples, noise {:.0} counts; the host gets the same to {:.0e}.",
+            "  solved on the sensor from {} samples, noise {:.0} counts; the host, from the same codes: {}.",
             solution.samples,
             solution.noise_counts.unwrap_or(0.0),
-            relative_difference(&shape.shape_counts_per_load, &on_host.shape_counts_per_load)
+            if difference == 0.0 { "the same to the last bit".to_owned() } else { format!("the same to {difference:.0e}") },
         )?;
         let motion = motion::recover(&recording, &shape).map_err(refused(index))?;
         let uncertainty = motion.uncertainty().ok_or(CalibrationRefusal::TrialUncertain { trial: index })?;
@@ -104,7 +107,8 @@ pub fn acquire(
             });
             rests.push(rest);
         }
-        writeln!(progress, "  held at {} known directions.", rests.len())?;
+        let directions = if rests.len() == 1 { "direction" } else { "directions" };
+        writeln!(progress, "  held at {} known {directions}.", rests.len())?;
         let case = LoadCase {
             name: recording_name(index),
             mass_kg: trial.load.mass_kg,

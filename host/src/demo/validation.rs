@@ -51,7 +51,7 @@ pub fn measure(
     scenario: &Scenario,
     calibration: &Calibration,
     least_squares: &Calibration,
-    progress: &mut impl Write,
+    progress: &mut dyn Write,
 ) -> Result<Vec<MeasuredLoad>, DemoError> {
     let dof = scenario.sensor.dof();
     let mut measured = Vec::with_capacity(scenario.validation.len());

@@ -1,8 +1,8 @@
 //! The host's side of the conversation with a sensor.
 //!
 //! A request carries a number, and its response the same number, so that a late response to an earlier request is not
-//! taken for this one's. What is not answered in time is asked again where asking twice does no harm (see
-//! [`is_safe_to_repeat`]). Samples that come while an answer is awaited are kept for [`Client::next_frame`].
+//! taken for this one's. What is not answered in time is asked again where asking twice does no harm: everything but to
+//! start or to solve a trial. Samples that come while an answer is awaited are kept for [`Client::next_frame`].
 //!
 //! A sensor has one host at a time: [`Client::connect`] ends whatever stream an earlier host left running.
 

@@ -100,12 +100,8 @@ impl SerialTransport {
         Self::over(port).map_err(cannot_open)
     }
 
-    /// A line over a port that is open already.
-    ///
-    /// # Errors
-    ///
-    /// That of the operating system, where it does not give the reader thread a handle of its own.
-    pub fn over(port: Box<dyn SerialPort>) -> serialport::Result<Self> {
+    /// Starts the reader thread, with a handle of its own.
+    fn over(port: Box<dyn SerialPort>) -> serialport::Result<Self> {
         let reader = port.try_clone()?;
         let closing = Arc::new(AtomicBool::new(false));
         let (sender, received) = sync_channel(CHUNKS);

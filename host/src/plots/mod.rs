@@ -2,7 +2,7 @@
 //!
 //! | module | figure of the paper | shows |
 //! |---|---|---|
-//! | [`polar`] | 5 | recovered motion of a planar trial |
+//! | [`polar`] | 5 | recovered motion, magnitude over direction |
 //! | [`sphere`] | 6 | recovered motion of a spatial trial |
 //! | [`magnitude`] | 8 | force magnitude as the orientation changes, both methods |
 //! | [`angular_error`] | 9 | angular error at known loads, both methods |

@@ -1,4 +1,4 @@
-//! Recovered motion of a planar trial in polar coordinates (paper figure 5).
+//! Recovered motion in polar coordinates: magnitude over direction in the plane (paper figure 5).
 //!
 //! One dot a sample: the load that shape from motion recovered, in unit loads (1 is the weight that hung on the sensor),
 //! with the true unit circle over it. Dots on the circle mean a constant magnitude, dots all round it a motion
@@ -19,7 +19,7 @@ use super::style::{BLUE, GRID, INK, LABEL_SIZE, Mark, TICK_SIZE, TITLE_SIZE, leg
 use super::ticks::Ticks;
 use super::{Canvas, DrawingFailure, LARGEST_UNIT_LOADS, PlotError, check_points, render_svg, write_svg};
 
-/// The load of one sample as recovered from a planar trial.
+/// The load of one sample in the plane of the picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlanarLoad {
     /// Along the trial's x axis, in unit loads.
@@ -67,7 +67,7 @@ pub fn render(samples: &[PlanarLoad]) -> Result<String, PlotError> {
     let limit = USUAL_LIMIT.max(1.02 * largest);
     let rings = Ticks::over(&(0.0..limit), 6);
     render_svg(SIZE, |canvas| {
-        let title = format!("Recovered motion of a planar trial, {} samples", samples.len());
+        let title = format!("Recovered motion: magnitude and direction, {} samples", samples.len());
         canvas.draw_text(&title, &text(TITLE_SIZE, HPos::Center), (CENTRE.0, 34))?;
         legend_entry(canvas, (190, 84), &Mark::Dot(BLUE), "recovered load, one sample")?;
         legend_entry(canvas, (610, 84), &Mark::Line(line(INK, 3)), "true unit circle")?;
@@ -122,7 +122,7 @@ fn draw_radius_scale(canvas: &Canvas<'_>, rings: &Ticks, limit: f64) -> Result<(
     let below_numbers = (CENTRE.0 + RADIUS / 2, SCALE_ROW + 72);
     canvas.draw_text("radius: magnitude (unit loads)", &text(LABEL_SIZE, HPos::Center), below_numbers)?;
     let beside = (CENTRE.0 - RADIUS / 2, SCALE_ROW + 72);
-    canvas.draw_text("angle: direction (degrees)", &text(LABEL_SIZE, HPos::Center), beside)
+    canvas.draw_text("angle: direction in the xy plane (degrees)", &text(LABEL_SIZE, HPos::Center), beside)
 }
 
 #[cfg(test)]

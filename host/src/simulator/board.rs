@@ -5,10 +5,10 @@
 //!   ▲──── SPI bytes ─────┘ ▲──requests── Session ◄──┘
 //! ```
 //!
-//! It does what the real board does, in virtual time: one conversion after the other, a tick every
-//! [`TICK_MICROS`], a serial line of [`BAUD_RATE`] with a buffer of [`LINE_BUFFER`] bytes before it. A stream frame that does
-//! not fit into the buffer is dropped and counted, as on the board; a response always finds room. A trial is
-//! solved between two conversions and takes no virtual time.
+//! It does what the real board does, in virtual time: one conversion after the other, a tick every few milliseconds, a
+//! serial line of [`BAUD_RATE`] with a buffer before it. A stream frame that does not fit into the buffer is dropped and
+//! counted, as on the board; a response always finds room. A trial is solved between two conversions and takes no
+//! virtual time.
 //!
 //! Everything follows from the bench and from what is received when: the same calls give the same bytes.
 
@@ -273,5 +273,79 @@ impl DelayNs for VirtualDelay<'_> {
                 bench.next_conversion();
             }
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use ftcal_shared::units::{DataRate, Dof, Gain};
+    use ftcal_shared::wire::StreamKind;
+    use nalgebra::{DMatrix, DVector};
+
+    use super::{Bench, LINE_BUFFER, SimulatedBoard, UnsupportedGages};
+    use crate::link::client::Client;
+    use crate::link::serial::BAUD_RATE;
+    use crate::link::transport::Transport;
+    use crate::simulator::scenario::{Scenario, ScenarioKind};
+    use crate::simulator::sensor::SoftwareSensor;
+
+    fn board(kind: ScenarioKind) -> SimulatedBoard {
+        SimulatedBoard::for_scenario(&Scenario::new(kind, 7).expect("sizes fit"), 7).expect("sizes fit")
+    }
+
+    #[test]
+    fn the_same_calls_give_the_same_frames() {
+        let run = || {
+            let board = board(ScenarioKind::Wrist);
+            board.bench().with(Bench::turn);
+            let mut client = Client::connect(board).expect("answers");
+            client.wait_for_converter().expect("the converter starts");
+            client.stream(StreamKind::Codes).expect("answers");
+            let next = |_| client.next_frame(Duration::from_secs(1)).expect("the line is sound");
+            (0..500).map(next).collect::<Vec<_>>()
+        };
+        assert_eq!(run(), run());
+    }
+
+    #[test]
+    fn what_does_not_fit_on_the_line_is_dropped_and_counted_and_responses_get_through() {
+        let mut client = Client::connect(board(ScenarioKind::Wrist)).expect("answers");
+        client.configure_adc(DataRate::Hz32000, Gain::X128).expect("the converter starts");
+        client.stream(StreamKind::Codes).expect("answers");
+        let before = client.status().expect("answers");
+        let mut streamed = 0_u32;
+        let begin = client.line().elapsed();
+        while client.line().elapsed() < begin + Duration::from_secs(1) {
+            streamed +=
+                u32::from(client.next_frame(Duration::from_secs(1)).expect("the line is sound").is_some());
+        }
+        let status = client.status().expect("answers");
+        let dropped = status.dropped_frames - before.dropped_frames;
+        let converted = status.conversions - before.conversions;
+        // A frame of eight codes has 30 bytes at least, so the line cannot carry more than these.
+        let room = (BAUD_RATE / 10 + u32::try_from(LINE_BUFFER).expect("fits")) / 30;
+        assert!(streamed <= room, "{streamed}");
+        // What was neither streamed nor dropped was in the buffer at either end of the second.
+        let slack = 2 * u32::try_from(LINE_BUFFER).expect("fits") / 30;
+        assert!(converted.abs_diff(streamed + dropped) <= slack, "{converted} {streamed} {dropped}");
+    }
+
+    #[test]
+    fn a_board_has_two_to_eight_gages() {
+        for gages in 1..=8 {
+            let shape = DMatrix::from_element(2, gages, 1.0);
+            let zeros = DVector::zeros(gages);
+            let sensor =
+                SoftwareSensor::new(Dof::PlanarForce, shape, zeros.clone(), zeros).expect("sizes fit");
+            match SimulatedBoard::new(sensor, 1) {
+                Ok(board) => {
+                    let mut client = Client::connect(board).expect("answers");
+                    assert_eq!(usize::from(client.status().expect("answers").gages), gages);
+                }
+                Err(error) => assert_eq!((error, gages), (UnsupportedGages { gages: 1 }, 1)),
+            }
+        }
     }
 }

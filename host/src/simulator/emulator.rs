@@ -6,10 +6,8 @@
 //! converter ────socket, tunnel───► USART3 ┘
 //! ```
 //!
-//! The machine is `netduinoplus2`, which has the STM32F405. Three things about it are told on the command line: the
-//! rate at which its timers count, which must be that of the clock the board ends up with (design § 9: the crystal never gets
-//! ready); that the host link is a pseudo-terminal, of which QEMU chooses the name; and that the tunnel is the
-//! socket that it inherits as its standard input, so that no other program can get in between.
+//! The machine is `netduinoplus2`, which has the STM32F405. The host link is a pseudo-terminal, of which QEMU chooses the
+//! name; the tunnel is a socket that QEMU inherits as its standard input, so that no other program can get in between.
 //!
 //! QEMU notices only after up to a second that a program has opened the pseudo-terminal; what the board sends while none
 //! has it open is lost. A program that has it open and does not read stops the board, for the emulated serial port waits.
@@ -30,9 +28,6 @@ const PROGRAM: &str = "qemu-system-arm";
 
 /// What QEMU says when it has made the pseudo-terminal; the name follows.
 const ANNOUNCEMENT: &str = "char device redirected to ";
-
-/// The board's timers count at the rate of its internal oscillator.
-const TIMER_CLOCK: &str = "stm32f2xx-timer.clock-frequency=16000000";
 
 /// Why the image does not run.
 #[derive(Debug, Error)]
@@ -84,7 +79,7 @@ impl Emulator {
         let machine = {
             let mut command = Command::new(PROGRAM);
             command
-                .args(["-machine", "netduinoplus2", "-global", TIMER_CLOCK, "-kernel"])
+                .args(["-machine", "netduinoplus2", "-kernel"])
                 .arg(image)
                 .args(["-display", "none", "-monitor", "none"])
                 .args(["-chardev", "socket,id=tunnel,fd=0"])

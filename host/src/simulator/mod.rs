@@ -17,6 +17,7 @@
 //! | [`board`] | the firmware's application on top of the bench |
 //! | [`tunnel`] | the bench as the emulator's converter |
 //! | [`emulator`] | the firmware's image in QEMU |
+//! | [`operator`] | somebody who hangs loads, turns the sensor and plays faults on demand |
 //! | [`pseudo_terminal`] | a board behind a serial port that other programs can open |
 
 use rand::SeedableRng;
@@ -30,10 +31,13 @@ pub mod bus;
 pub mod emulator;
 pub mod fault;
 pub mod motion;
+pub mod operator;
 #[cfg(unix)]
 pub mod pseudo_terminal;
 pub mod scenario;
 pub mod sensor;
+#[cfg(all(unix, test))]
+pub(crate) mod served_board;
 pub mod tunnel;
 
 /// What a random sequence is for. Each purpose has its own, so that playing a fault, say, changes no noise sample.

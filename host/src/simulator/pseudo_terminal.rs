@@ -30,7 +30,6 @@ const CHUNK: usize = 1024;
 pub struct PseudoTerminal {
     board_end: TTYPort,
     path: PathBuf,
-    link: Option<PathBuf>,
 }
 
 impl PseudoTerminal {
@@ -44,27 +43,12 @@ impl PseudoTerminal {
         board_end.set_timeout(TURN)?;
         let path = program_end.name().map(PathBuf::from);
         let path = path.ok_or_else(|| io::Error::other("the pseudo-terminal has no name"))?;
-        Ok(Self { board_end, path, link: None })
+        Ok(Self { board_end, path })
     }
 
     /// The path that programs open.
     pub fn path(&self) -> &Path {
         &self.path
-    }
-
-    /// Makes a symbolic link to the path that programs open, which goes away with the pseudo-terminal. A symbolic link
-    /// that is there already is replaced; any other file is not.
-    ///
-    /// # Errors
-    ///
-    /// That of the operating system.
-    pub fn link_at(&mut self, link: &Path) -> io::Result<()> {
-        if link.symlink_metadata().is_ok_and(|there| there.file_type().is_symlink()) {
-            std::fs::remove_file(link)?;
-        }
-        std::os::unix::fs::symlink(&self.path, link)?;
-        self.link = Some(link.to_owned());
-        Ok(())
     }
 
     /// Lets the board live, in real time, until told to stop.
@@ -127,70 +111,59 @@ fn write_pieces(mut end: TTYPort, to_write: &Receiver<Vec<u8>>) {
     }
 }
 
-impl Drop for PseudoTerminal {
-    fn drop(&mut self) {
-        if let Some(link) = &self.link {
-            let _ = std::fs::remove_file(link);
+/// A second, stable name for a port, which goes away when dropped.
+pub struct PortLink {
+    at: PathBuf,
+}
+
+impl PortLink {
+    /// Makes a symbolic link to this port. A symbolic link that is there already is replaced; any other file is not.
+    ///
+    /// # Errors
+    ///
+    /// That of the operating system.
+    pub fn new(port: &Path, at: &Path) -> io::Result<Self> {
+        if at.symlink_metadata().is_ok_and(|there| there.file_type().is_symlink()) {
+            std::fs::remove_file(at)?;
         }
+        std::os::unix::fs::symlink(port, at)?;
+        Ok(Self { at: at.to_owned() })
+    }
+}
+
+impl Drop for PortLink {
+    fn drop(&mut self) {
+        // Somebody else may have taken it away already.
+        let _ = std::fs::remove_file(&self.at);
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-    use std::sync::atomic::{AtomicBool, Ordering};
-    use std::thread::{self, JoinHandle};
+    use std::path::Path;
+    use std::thread;
     use std::time::{Duration, Instant};
 
     use ftcal_shared::units::{DataRate, Gain};
     use ftcal_shared::wire::StreamKind;
 
-    use super::PseudoTerminal;
+    use super::PortLink;
     use crate::link::client::Client;
     use crate::link::error::{ClientError, LinkError};
     use crate::link::frame::Frame;
     use crate::link::serial::{OpenError, SerialTransport};
     use crate::link::transport::TransportError;
-    use crate::simulator::board::SimulatedBoard;
-    use crate::simulator::scenario::{Scenario, ScenarioKind};
+    use crate::simulator::scenario::ScenarioKind;
+    use crate::simulator::served_board::ServedBoard;
 
-    /// A board that is served by a thread until dropped.
-    struct Served {
-        path: String,
-        stop: Arc<AtomicBool>,
-        thread: Option<JoinHandle<()>>,
-    }
-
-    impl Served {
-        fn new() -> Self {
-            let scenario = Scenario::new(ScenarioKind::Force, 3).expect("sizes fit");
-            let mut board = SimulatedBoard::for_scenario(&scenario, 3).expect("sizes fit").into_board();
-            let mut terminal = PseudoTerminal::open().expect("a pseudo-terminal");
-            let path = terminal.path().display().to_string();
-            let stop = Arc::new(AtomicBool::new(false));
-            let told = Arc::clone(&stop);
-            let serve = move || terminal.serve(board.as_mut(), &told).expect("a second handle");
-            Self { path, stop, thread: Some(thread::spawn(serve)) }
-        }
-
-        fn client(&self) -> Client<SerialTransport> {
-            Client::connect(SerialTransport::open(&self.path).expect("opens")).expect("answers")
-        }
-    }
-
-    impl Drop for Served {
-        fn drop(&mut self) {
-            self.stop.store(true, Ordering::Relaxed);
-            if let Some(thread) = self.thread.take() {
-                thread.join().expect("the server does not panic");
-            }
-        }
+    fn connected_to(board: &ServedBoard) -> Client<SerialTransport> {
+        Client::connect(SerialTransport::open(&board.path).expect("opens")).expect("answers")
     }
 
     #[test]
     fn one_client_after_the_other_is_served_in_real_time() {
-        let served = Served::new();
-        let mut client = served.client();
+        let board = ServedBoard::new(ScenarioKind::Force);
+        let mut client = connected_to(&board);
         client.configure_adc(DataRate::Hz500, Gain::X128).expect("the converter starts");
         client.stream(StreamKind::Codes).expect("answers");
         let begin = Instant::now();
@@ -202,39 +175,39 @@ mod tests {
         assert!(begin.elapsed() > Duration::from_millis(150), "{:?}", begin.elapsed());
         drop(client);
 
-        let mut next = served.client();
+        let mut next = connected_to(&board);
         assert_eq!(next.status().expect("answers").stream, StreamKind::Off, "the stream was ended");
         assert_eq!(next.next_frame(Duration::from_millis(50)).expect("the line is sound"), None);
     }
 
     #[test]
     fn a_port_is_open_for_one_program_and_free_again_when_closed() {
-        let served = Served::new();
-        let client = served.client();
-        assert!(matches!(SerialTransport::open(&served.path), Err(OpenError::InUse { .. })));
+        let board = ServedBoard::new(ScenarioKind::Force);
+        let client = connected_to(&board);
+        assert!(matches!(SerialTransport::open(&board.path), Err(OpenError::InUse { .. })));
         drop(client);
-        served.client();
+        connected_to(&board);
     }
 
     #[test]
     fn a_program_that_does_not_read_harms_only_itself() {
-        let served = Served::new();
-        let mut client = served.client();
+        let board = ServedBoard::new(ScenarioKind::Force);
+        let mut client = connected_to(&board);
         client.wait_for_converter().expect("the converter starts");
         client.stream(StreamKind::Codes).expect("answers");
         drop(client);
         // The stream still runs, and overflows what the pseudo-terminal can hold.
-        let idle = serialport::new(&served.path, 0).open().expect("opens");
+        let idle = serialport::new(&board.path, 0).open().expect("opens");
         thread::sleep(Duration::from_millis(300));
         drop(idle);
-        served.client().status().expect("answers");
+        connected_to(&board).status().expect("answers");
     }
 
     #[test]
     fn a_port_that_vanishes_is_an_error_and_no_hang() {
-        let served = Served::new();
-        let mut client = served.client();
-        drop(served);
+        let board = ServedBoard::new(ScenarioKind::Force);
+        let mut client = connected_to(&board);
+        drop(board);
         let begin = Instant::now();
         let error = client.wait(Duration::from_secs(30)).expect_err("the port is gone");
         assert!(matches!(error, ClientError::Link(LinkError::Line(TransportError::Vanished))), "{error}");
@@ -244,22 +217,19 @@ mod tests {
     }
 
     #[test]
-    fn the_link_goes_away_with_the_terminal_and_replaces_only_links() {
+    fn a_link_goes_away_in_the_end_and_replaces_only_links() {
         let directory = tempfile::tempdir().expect("a directory");
-        let link = directory.path().join("sensor");
-        for _ in 0..2 {
-            let mut terminal = PseudoTerminal::open().expect("a pseudo-terminal");
-            // What a simulator that was killed leaves behind.
-            let _ = std::os::unix::fs::symlink("/nowhere", &link);
-            terminal.link_at(&link).expect("a directory of our own");
-            assert_eq!(std::fs::read_link(&link).expect("a link"), terminal.path());
-        }
-        assert!(link.symlink_metadata().is_err());
-        std::fs::write(&link, "precious").expect("a directory of our own");
-        let mut terminal = PseudoTerminal::open().expect("a pseudo-terminal");
-        assert!(terminal.link_at(&link).is_err());
-        drop(terminal);
-        assert_eq!(std::fs::read_to_string(&link).expect("still there"), "precious");
+        let at = directory.path().join("sensor");
+        let port = Path::new("/dev/pts/0");
+        // What a simulator that was killed leaves behind.
+        std::os::unix::fs::symlink("/nowhere", &at).expect("a directory of our own");
+        let link = PortLink::new(port, &at).expect("a directory of our own");
+        assert_eq!(std::fs::read_link(&at).expect("a link"), port);
+        drop(link);
+        assert!(at.symlink_metadata().is_err());
+        std::fs::write(&at, "precious").expect("a directory of our own");
+        assert!(PortLink::new(port, &at).is_err());
+        assert_eq!(std::fs::read_to_string(&at).expect("still there"), "precious");
     }
 
     #[test]

@@ -2,15 +2,15 @@
 //! [`ftcal_firmware::tunnel`].
 //!
 //! The converter's clock is the bench's virtual time. [`serve`] lets it pass as fast as the [`Pace`] says, but never
-//! converts again before the last conversion was read: a board that is slow makes the converter slow, and misses nothing.
-//! A conversion that is not read within [`UNREAD_MICROS`] is left behind, as a real converter does.
+//! converts again before the board has handled the last announcement: a board that is slow makes the converter slow, and
+//! misses nothing. Where the board says nothing for [`UNHANDLED_MICROS`], the converter goes on, as a real one does.
 
 use std::io::{self, Read, Write};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use ftcal_firmware::tunnel::{FromConverter, Transfer, TransferBytes, UNREAD_MICROS};
+use ftcal_firmware::tunnel::{FromBoard, FromConverter, Transfer, TransferBytes, UNHANDLED_MICROS};
 use ftcal_shared::units::DeviceTime;
 use ftcal_shared::wire::frame::{Decoder, encode};
 
@@ -51,8 +51,8 @@ impl TunnelledConverter for SharedBench {
 pub enum Pace {
     /// As fast as a clock on the wall.
     RealTime,
-    /// As fast as conversions are read.
-    AsRead,
+    /// As fast as announcements are handled; as fast as a clock on the wall where there are none.
+    AsHandled,
 }
 
 /// Serves the converter to the board at the other end of the line, until the line is closed.
@@ -66,42 +66,47 @@ pub fn serve(
     converter: &mut impl TunnelledConverter,
     pace: Pace,
 ) -> io::Result<()> {
-    let (sender, questions) = channel();
+    let (sender, messages) = channel();
     thread::scope(|scope| {
         scope.spawn(move || pass_on(reader, &sender));
+        // A board that has not said anything yet is still starting, and would not hear an announcement.
+        let Ok(first) = messages.recv() else { return Ok(()) };
+        let mut event = Ok(first);
         let mut due = Instant::now();
-        // The last announcement, as long as no transfer followed it.
-        let mut unread: Option<Instant> = None;
+        // The last announcement, as long as it is not handled.
+        let mut unhandled: Option<Instant> = None;
         loop {
-            let until = unread.map_or(due, |announced| announced + Duration::from_micros(UNREAD_MICROS));
-            match questions.recv_timeout(until.saturating_duration_since(Instant::now())) {
-                Ok(question) => {
-                    unread = None;
+            match event {
+                Ok(FromBoard::Transfer(question)) => {
                     send(&mut writer, &FromConverter::Transferred(answer(question, converter)))?;
                 }
+                Ok(FromBoard::Handled) => unhandled = None,
                 Err(RecvTimeoutError::Timeout) => {
                     let before = converter.now();
                     let announced = converter.next_conversion();
                     let now = converter.now();
                     due = match pace {
+                        Pace::AsHandled if announced => Instant::now(),
                         // A period after it was due; whoever is late by more than that does not catch up.
-                        Pace::RealTime => (due + elapsed(before, now)).max(Instant::now()),
-                        Pace::AsRead => Instant::now(),
+                        Pace::AsHandled | Pace::RealTime => (due + elapsed(before, now)).max(Instant::now()),
                     };
-                    unread = announced.then(Instant::now);
+                    unhandled = announced.then(Instant::now);
                     if announced {
                         send(&mut writer, &FromConverter::DataReady(now))?;
                     }
                 }
                 Err(RecvTimeoutError::Disconnected) => return Ok(()),
             }
+            let until =
+                unhandled.map_or(due, |announced| announced + Duration::from_micros(UNHANDLED_MICROS));
+            event = messages.recv_timeout(until.saturating_duration_since(Instant::now()));
         }
     })
 }
 
-/// The reader thread: bytes into questions, until the line or the server is gone. What is broken is dropped; the board
+/// The reader thread: bytes into messages, until the line or the server is gone. What is broken is dropped; the board
 /// notices that the answer is missing.
-fn pass_on(mut reader: impl Read, sender: &Sender<Transfer>) {
+fn pass_on(mut reader: impl Read, sender: &Sender<FromBoard>) {
     let mut decoder = Decoder::new();
     let mut chunk = [0; CHUNK];
     loop {
@@ -112,8 +117,8 @@ fn pass_on(mut reader: impl Read, sender: &Sender<Transfer>) {
             Err(_) => return,
         };
         for &byte in chunk.iter().take(length) {
-            if let Some(Ok(question)) = decoder.push::<Transfer>(byte)
-                && sender.send(question).is_err()
+            if let Some(Ok(message)) = decoder.push::<FromBoard>(byte)
+                && sender.send(message).is_err()
             {
                 return;
             }
@@ -142,7 +147,7 @@ mod tests {
     use std::thread;
     use std::time::{Duration, Instant};
 
-    use ftcal_firmware::tunnel::{FromConverter, Transfer, TransferBytes, UNREAD_MICROS};
+    use ftcal_firmware::tunnel::{FromBoard, FromConverter, Transfer, TransferBytes, UNHANDLED_MICROS};
     use ftcal_shared::units::DeviceTime;
     use ftcal_shared::wire::frame::{Decoder, encode};
 
@@ -192,6 +197,8 @@ mod tests {
             let mut converter = Complement { conversions: 0 };
             serve(from_board, to_board, &mut converter, pace).map(|()| converter.conversions)
         });
+        // Nothing is announced before the board has spoken.
+        to_converter.write_all(&encode(&FromBoard::Handled).unwrap()).unwrap();
         board(&mut from_converter, &mut to_converter);
         drop(to_converter);
         server.join().unwrap().unwrap()
@@ -199,24 +206,28 @@ mod tests {
 
     fn question(number: u8) -> Vec<u8> {
         let bytes = TransferBytes::from_slice(&[number, 0x0F]).unwrap();
-        encode(&Transfer { number, bytes }).unwrap().to_vec()
+        encode(&FromBoard::Transfer(Transfer { number, bytes })).unwrap().to_vec()
     }
 
-    /// Reads one conversion: the answer must bear the question's number.
-    fn read_conversion(number: u8, from_converter: &mut PipeReader, to_converter: &mut dyn Write) -> u64 {
+    /// Handles one announcement: each answer must bear its question's number.
+    fn handle_conversion(number: u8, from_converter: &mut PipeReader, to_converter: &mut dyn Write) -> u64 {
         let FromConverter::DataReady(time) = receive(from_converter) else { panic!("nothing was asked") };
-        to_converter.write_all(&question(number)).unwrap();
-        let bytes = TransferBytes::from_slice(&[!number, 0xF0]).unwrap();
-        assert_eq!(receive(from_converter), FromConverter::Transferred(Transfer { number, bytes }));
+        // Several transfers in a row do not move the converter's time.
+        for _ in 0..3 {
+            to_converter.write_all(&question(number)).unwrap();
+            let bytes = TransferBytes::from_slice(&[!number, 0xF0]).unwrap();
+            assert_eq!(receive(from_converter), FromConverter::Transferred(Transfer { number, bytes }));
+        }
+        to_converter.write_all(&encode(&FromBoard::Handled).unwrap()).unwrap();
         time.as_micros()
     }
 
     #[test]
     fn no_conversion_is_skipped_however_slow_the_board() {
-        conversions_while(Pace::AsRead, |from_converter, to_converter| {
+        conversions_while(Pace::AsHandled, |from_converter, to_converter| {
             for conversion in 1..=20 {
                 thread::sleep(Duration::from_millis(u64::from(conversion) % 5));
-                let time = read_conversion(conversion, from_converter, to_converter);
+                let time = handle_conversion(conversion, from_converter, to_converter);
                 assert_eq!(time, u64::from(conversion) * PERIOD_MICROS);
             }
         });
@@ -227,7 +238,7 @@ mod tests {
         let begin = Instant::now();
         let conversions = conversions_while(Pace::RealTime, |from_converter, to_converter| {
             for conversion in 0..50 {
-                read_conversion(conversion, from_converter, to_converter);
+                handle_conversion(conversion, from_converter, to_converter);
             }
         });
         assert!(begin.elapsed() >= Duration::from_micros((conversions - 2) * PERIOD_MICROS));
@@ -236,21 +247,21 @@ mod tests {
     #[test]
     fn a_conversion_that_nobody_reads_is_left_behind() {
         let begin = Instant::now();
-        conversions_while(Pace::AsRead, |from_converter, _| {
+        conversions_while(Pace::AsHandled, |from_converter, _| {
             receive(from_converter);
             let FromConverter::DataReady(time) = receive(from_converter) else { panic!("nothing was asked") };
             assert_eq!(time.as_micros(), 2 * PERIOD_MICROS);
         });
-        assert!(begin.elapsed() >= Duration::from_micros(UNREAD_MICROS));
+        assert!(begin.elapsed() >= Duration::from_micros(UNHANDLED_MICROS));
     }
 
     #[test]
     fn a_broken_question_is_not_answered_and_the_next_one_is() {
-        conversions_while(Pace::AsRead, |from_converter, to_converter| {
+        conversions_while(Pace::AsHandled, |from_converter, to_converter| {
             let mut broken = question(1);
             broken[2] ^= 1;
             to_converter.write_all(&broken).unwrap();
-            read_conversion(2, from_converter, to_converter);
+            handle_conversion(2, from_converter, to_converter);
         });
     }
 }

@@ -1,0 +1,124 @@
+//! `ftcal apply`: a recording to forces and torques.
+
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+use std::path::PathBuf;
+
+use anyhow::Context;
+use clap::Args;
+use ftcal_shared::units::Axis;
+
+use super::{Failure, Streams};
+use crate::calibration::Calibration;
+use crate::calibration_file;
+use crate::recording::{Recording, is_saturated, shown};
+
+/// Turn a recording into forces and torques
+#[derive(Args, Clone, Debug)]
+pub struct Arguments {
+    /// The calibration file (JSON)
+    pub calibration: PathBuf,
+    /// The recording (CSV)
+    pub recording: PathBuf,
+    /// Where to write the wrenches (CSV); standard output if absent
+    #[arg(short, long)]
+    pub output: Option<PathBuf>,
+}
+
+/// A calibration and a recording that do not belong together.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "{recording}: expected a recording of {expected} gages as the calibration is of, found {found} gages"
+)]
+pub struct GagesDiffer {
+    recording: String,
+    expected: usize,
+    found: usize,
+}
+
+/// Reads a calibration and a recording that belong together.
+///
+/// # Errors
+///
+/// [`Failure::Input`].
+pub fn read(
+    calibration: &std::path::Path,
+    recording: &std::path::Path,
+) -> Result<(Calibration, Recording), Failure> {
+    let read_calibration = calibration_file::read(calibration).map_err(Failure::input)?;
+    let read_recording = Recording::read(recording).map_err(Failure::input)?;
+    let (expected, found) = (read_calibration.gages(), read_recording.gages());
+    if expected == found {
+        Ok((read_calibration, read_recording))
+    } else {
+        Err(Failure::input(GagesDiffer { recording: shown(recording), expected, found }))
+    }
+}
+
+/// Applies a calibration to a recording.
+///
+/// # Errors
+///
+/// [`Failure`].
+pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> {
+    let (calibration, recording) = read(&arguments.calibration, &arguments.recording)?;
+    let saturated = match &arguments.output {
+        None => write_wrenches(&calibration, &recording, &mut *streams.data)?,
+        Some(path) => {
+            let cannot_write = || format!("{}: cannot be written", shown(path));
+            let mut file = BufWriter::new(File::create(path).with_context(cannot_write)?);
+            let saturated = write_wrenches(&calibration, &recording, &mut file).with_context(cannot_write)?;
+            file.flush().with_context(cannot_write)?;
+            saturated
+        }
+    };
+    if saturated > 0 {
+        writeln!(
+            streams.words,
+            "{saturated} of {} samples are saturated: their fields are left empty",
+            recording.len()
+        )?;
+    }
+    Ok(())
+}
+
+/// Writes one line a sample and says how many samples were saturated. Those are no measurements: their fields are empty.
+///
+/// # Errors
+///
+/// Those of the destination.
+pub fn write_wrenches(
+    calibration: &Calibration,
+    recording: &Recording,
+    mut out: impl Write,
+) -> io::Result<usize> {
+    let axes = calibration.dof.axes();
+    let names: Vec<&str> = axes.iter().map(|&axis| column_name(axis)).collect();
+    writeln!(out, "t_s,{}", names.join(","))?;
+    let mut saturated = 0;
+    for (time_s, codes) in recording.samples() {
+        write!(out, "{time_s}")?;
+        if is_saturated(codes) {
+            saturated += 1;
+            write!(out, "{}", ",".repeat(axes.len()))?;
+        } else {
+            for component in calibration.wrench(&recording.counts(codes)).iter() {
+                write!(out, ",{component}")?;
+            }
+        }
+        writeln!(out)?;
+    }
+    Ok(saturated)
+}
+
+/// The name of a component's column, with its unit.
+pub const fn column_name(axis: Axis) -> &'static str {
+    match axis {
+        Axis::ForceX => "fx_n",
+        Axis::ForceY => "fy_n",
+        Axis::ForceZ => "fz_n",
+        Axis::TorqueX => "tx_nm",
+        Axis::TorqueY => "ty_nm",
+        Axis::TorqueZ => "tz_nm",
+    }
+}

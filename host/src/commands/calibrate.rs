@@ -1,0 +1,97 @@
+//! `ftcal calibrate`: a session file to a calibration file.
+
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+use std::path::PathBuf;
+
+use anyhow::Context;
+use clap::Args;
+
+use super::{Failure, Streams};
+use crate::calibration::evidence::{self, CalibrationFailure};
+use crate::calibration::{BiasOrigin, Calibration, Method};
+use crate::calibration_file;
+use crate::recording::shown;
+use crate::remedy;
+use crate::session_file::Session;
+
+/// Calibrate a sensor from a session: recordings, masses, arms and known loads
+#[derive(Args, Clone, Debug)]
+pub struct Arguments {
+    /// The session file (TOML)
+    pub session: PathBuf,
+    /// Where to write the calibration
+    #[arg(short, long, default_value = "calibration.json")]
+    pub output: PathBuf,
+    /// Shape from motion, or least squares on the known loads alone
+    #[arg(long, value_enum, default_value = "sfm")]
+    pub method: Method,
+    /// Print the calibration, or the refusal, as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Calibrates and writes the calibration file.
+///
+/// # Errors
+///
+/// [`Failure`].
+pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> {
+    let session = Session::read(&arguments.session).map_err(Failure::input)?;
+    let calibration = evidence::calibrate(&session, arguments.method).map_err(|failure| match failure {
+        CalibrationFailure::Input(error) => Failure::input(error),
+        CalibrationFailure::Refused(refusal) => Failure::Refused(remedy::calibration(&refusal)),
+    })?;
+    save(&calibration, arguments)?;
+    if arguments.json {
+        calibration_file::write(&calibration, &mut *streams.data)?;
+    } else {
+        summarise(&calibration, streams.data)?;
+    }
+    writeln!(streams.words, "written to {}", shown(&arguments.output))?;
+    Ok(())
+}
+
+fn save(calibration: &Calibration, arguments: &Arguments) -> anyhow::Result<()> {
+    let cannot_write = || format!("{}: cannot be written", shown(&arguments.output));
+    let mut file = BufWriter::new(File::create(&arguments.output).with_context(cannot_write)?);
+    calibration_file::write(calibration, &mut file).with_context(cannot_write)?;
+    file.flush().with_context(cannot_write)
+}
+
+/// Writes a summary that a person can read.
+///
+/// # Errors
+///
+/// Those of the destination.
+pub fn summarise(calibration: &Calibration, out: &mut dyn Write) -> io::Result<()> {
+    writeln!(out, "calibration matrix (newton, newton metre per count)")?;
+    for (axis, row) in calibration.dof.axes().iter().zip(calibration.matrix.row_iter()) {
+        write!(out, "{:<8}", super::apply::column_name(*axis))?;
+        for element in row.iter() {
+            write!(out, " {element:12.5e}")?;
+        }
+        writeln!(out)?;
+    }
+    write!(out, "{:<8}", "bias")?;
+    for counts in calibration.bias_counts.iter() {
+        write!(out, " {counts:12.1}")?;
+    }
+    writeln!(out, " counts")?;
+    if calibration.bias == BiasOrigin::TakenAsZero {
+        writeln!(out, "the bias is taken as zero: the known loads do not determine it")?;
+    }
+    writeln!(out, "handedness proven; fusion residual {:.3} %", 100.0 * calibration.fusion_residual)?;
+    for trial in &calibration.trials {
+        write!(out, "{}: {} kg, {} known loads", trial.recording, trial.mass_kg, trial.known_loads)?;
+        if let Some(solution) = &trial.solution {
+            write!(
+                out,
+                ", {} of {} samples used, directions off by {:.3}°",
+                solution.samples.used, solution.samples.total, solution.alignment_residual_deg
+            )?;
+        }
+        writeln!(out)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,285 @@
+//! The device commands against a simulated board behind a pseudo-terminal, through the same entry as the process.
+
+use std::fs;
+use std::path::Path;
+use std::process::ExitCode;
+use std::thread;
+use std::time::Duration;
+
+use clap::Parser;
+use ftcal_shared::units::AdcCode;
+use nalgebra::{UnitVector3, Vector3};
+use serde_json::Value;
+
+use super::Streams;
+use crate::calibration::matrix::matrix_of_shape;
+use crate::calibration::{BiasOrigin, Calibration, Handedness, Method};
+use crate::calibration_file;
+use crate::cli::{self, Cli};
+use crate::recording::Recording;
+use crate::recording::parse::parse;
+use crate::simulator::bench::Bench;
+use crate::simulator::fault::{Fault, Rail};
+use crate::simulator::scenario::ScenarioKind;
+use crate::simulator::served_board::ServedBoard;
+
+/// What a command left behind.
+struct Outcome {
+    code: ExitCode,
+    data: String,
+    words: String,
+}
+
+impl Outcome {
+    fn has_code(&self, number: u8) -> bool {
+        self.code == ExitCode::from(number)
+    }
+
+    fn json(&self) -> Value {
+        serde_json::from_str(&self.data).expect("one JSON value")
+    }
+}
+
+/// Runs a command on this board.
+fn ftcal(board: &ServedBoard, arguments: &[&str]) -> Outcome {
+    let all = [&["ftcal"], arguments, &["--port", &board.path]].concat();
+    let cli = Cli::try_parse_from(all).expect("the usage is right");
+    let (mut data, mut words) = (Vec::new(), Vec::new());
+    let code = cli::run(&cli, &mut Streams { data: &mut data, words: &mut words });
+    let text = |bytes| String::from_utf8(bytes).expect("output is UTF-8");
+    Outcome { code, data: text(data), words: text(words) }
+}
+
+/// Waits until so much time has passed on the board, which on a busy machine lags behind the clock.
+fn pass(board: &ServedBoard, milliseconds: u64) {
+    let now = || board.bench.with(|bench| bench.now().as_micros());
+    let end = now() + 1000 * milliseconds;
+    while now() < end {
+        thread::sleep(Duration::from_millis(1));
+    }
+}
+
+/// A calibration that is the truth of this board's sensor.
+fn true_calibration(board: &ServedBoard, path: &Path) -> Calibration {
+    let sensor = board.bench.with(|bench| bench.sensor().clone());
+    let calibration = Calibration {
+        dof: sensor.dof(),
+        method: Method::Sfm,
+        gravity: 9.80665,
+        matrix: matrix_of_shape(sensor.shape()).expect("of full rank"),
+        bias_counts: sensor.bias_counts().clone(),
+        bias: BiasOrigin::Estimated,
+        shape: sensor.shape().clone(),
+        handedness: Handedness::Proven,
+        fusion_residual: 0.0,
+        trials: Vec::new(),
+    };
+    let mut file = Vec::new();
+    calibration_file::write(&calibration, &mut file).expect("memory takes everything");
+    fs::write(path, file).expect("a directory of our own");
+    calibration
+}
+
+#[test]
+fn a_recording_holds_what_was_asked_for() {
+    let board = ServedBoard::new(ScenarioKind::Force);
+    let whole = |outcome: &Outcome| -> Recording {
+        assert!(outcome.has_code(0), "{}", outcome.words);
+        parse(outcome.data.as_bytes(), "stdout").expect("a recording")
+    };
+    let outcome = ftcal(&board, &["record", "--samples", "50", "--rate", "500", "--gain", "64"]);
+    assert!(outcome.data.starts_with("t_s,ch0,ch1,ch2,ch3,ch4,ch5\n"));
+    assert!(outcome.words.starts_with("50 samples in 0.098 s, no gap, none saturated"), "{}", outcome.words);
+    let recording = whole(&outcome);
+    assert_eq!((recording.gages(), recording.len()), (6, 50));
+    for (sample, (time_s, _)) in recording.samples().enumerate() {
+        assert!((time_s - sample as f64 / 500.0).abs() < 1e-9);
+    }
+
+    // Half an open interval: the sample at 0.1 s belongs to the next one.
+    let recording = whole(&ftcal(&board, &["record", "--seconds", "0.1"]));
+    assert_eq!(recording.len(), 50, "rate and gain stay as they were set");
+
+    board.bench.with(|bench| bench.inject(Fault::SaturatedChannel { channel: 1, rail: Rail::Low }));
+    board.bench.with(|bench| bench.inject(Fault::DataReadyLost { probability: 0.3 }));
+    let outcome = ftcal(&board, &["record", "--samples", "100"]);
+    assert!(
+        outcome.words.contains("100 saturated") && outcome.words.contains(" gaps ("),
+        "{}",
+        outcome.words
+    );
+    assert!(whole(&outcome).samples().all(|(_, codes)| codes.get(1) == Some(&AdcCode::MIN)));
+}
+
+#[test]
+fn a_recording_to_a_file_is_complete_or_not_there() {
+    let board = ServedBoard::new(ScenarioKind::Fingertip);
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("trial.csv");
+    let path_text = path.display().to_string();
+    let record = ["record", "--samples", "20", "-o", &path_text];
+    board.bench.with(|bench| bench.inject(Fault::ConverterMissing));
+    let outcome = ftcal(&board, &record);
+    assert!(outcome.has_code(3) && outcome.words.contains("converter"), "{}", outcome.words);
+    assert_eq!(fs::read_dir(folder.path()).expect("a folder").count(), 0);
+
+    board.bench.with(Bench::clear_faults);
+    // The sensor tries its converter again twice a second.
+    pass(&board, 700);
+    assert!(ftcal(&board, &record).has_code(0));
+    assert_eq!(Recording::read(&path).expect("a recording").len(), 20);
+}
+
+#[test]
+fn a_trial_is_solved_on_the_sensor() {
+    let board = ServedBoard::new(ScenarioKind::Fingertip);
+    let refused = ftcal(&board, &["trial", "solve", "--json"]);
+    assert!(refused.has_code(3));
+    assert_eq!(refused.json()["refused"]["cause"], "no-trial");
+
+    assert!(ftcal(&board, &["trial", "start", "--rank", "2"]).has_code(0));
+    assert!(ftcal(&board, &["trial", "start", "--rank", "2"]).has_code(3), "one is running");
+    pass(&board, 100);
+    assert!(ftcal(&board, &["trial", "stop"]).data.starts_with("stopped, rank 2, "));
+    let refused = ftcal(&board, &["trial", "solve", "--json"]);
+    assert!(refused.has_code(3), "nothing has turned");
+    for field in ["cause", "detail", "remedy"] {
+        assert!(refused.json()["refused"][field].is_string(), "{}", refused.data);
+    }
+
+    // The load hangs in the plane from the first sample on.
+    board.bench.with(|bench| bench.hold(Vector3::x_axis()));
+    ftcal(&board, &["trial", "start", "--rank", "2"]);
+    for step in 0..16 {
+        let (y, x) = (std::f64::consts::TAU * f64::from(step) / 16.0).sin_cos();
+        board.bench.with(|bench| bench.hold(UnitVector3::new_normalize(Vector3::new(x, y, 0.0))));
+        pass(&board, 30);
+    }
+    assert!(ftcal(&board, &["trial", "status"]).data.starts_with("running, rank 2, "));
+    ftcal(&board, &["trial", "stop"]);
+    let solved = ftcal(&board, &["trial", "solve"]);
+    assert!(solved.has_code(0), "{}", solved.words);
+    let solution = solved.json();
+    assert_eq!((&solution["rank"], &solution["gages"]), (&Value::from(2), &Value::from(4)));
+    assert_eq!(solution["samples"]["total"], solution["samples"]["used"]);
+    let length = |field: &str| solution[field].as_array().map_or(0, Vec::len);
+    assert_eq!((length("eigenvalues"), length("bias_counts"), length("shape_counts_per_load")), (4, 4, 2));
+    assert_eq!(solution["shape_counts_per_load"][1].as_array().map_or(0, Vec::len), 4);
+    // The truth: bias within the noise of a few hundred samples.
+    let (bias, noise) =
+        board.bench.with(|bench| (bench.sensor().bias_counts().clone(), bench.sensor().noise_counts().max()));
+    for gage in 0..4 {
+        let found = solution["bias_counts"][gage].as_f64().expect("a number");
+        assert!((found - bias[gage]).abs() < noise, "gage {gage}: {found} for {}", bias[gage]);
+    }
+}
+
+#[test]
+fn uploaded_and_streamed_wrenches_are_the_truth_or_empty() {
+    let board = ServedBoard::new(ScenarioKind::Planar);
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("calibration.json");
+    let refused = ftcal(&board, &["stream", "--samples", "3"]);
+    assert!(refused.has_code(3) && refused.words.contains("uncalibrated"), "{}", refused.words);
+
+    let calibration = true_calibration(&board, &path);
+    let outcome = ftcal(&board, &["upload", &path.display().to_string()]);
+    assert!(outcome.has_code(0), "{}", outcome.words);
+    let outcome = ftcal(&board, &["stream", "--seconds", "0.2"]);
+    assert!(outcome.has_code(0), "{}", outcome.words);
+    let mut lines = outcome.data.lines();
+    assert_eq!(lines.next(), Some("t_s,fx_n,fy_n,tz_nm"));
+    let truth = board.bench.with(|bench| bench.true_wrench()).components(calibration.dof);
+    let noise = board.bench.with(|bench| bench.sensor().noise_counts().max());
+    let mut samples = 0;
+    for line in lines {
+        let numbers: Vec<f64> = line.split(',').map(|field| field.parse().expect("a number")).collect();
+        for (axis, row) in calibration.matrix.row_iter().enumerate() {
+            // Eight standard deviations of the noise, and single precision.
+            let bound = 8.0 * noise * row.norm() + 1e-5 * truth.amax();
+            assert!((numbers[axis + 1] - truth[axis]).abs() < bound, "{line}: {truth}");
+        }
+        samples += 1;
+    }
+    assert_eq!(samples, 200);
+
+    board.bench.with(|bench| bench.inject(Fault::SaturatedChannel { channel: 2, rail: Rail::High }));
+    pass(&board, 50);
+    let outcome = ftcal(&board, &["stream", "--samples", "5"]);
+    for line in outcome.data.lines().skip(1) {
+        assert!(line.ends_with(",,,"), "{line}");
+    }
+    assert_eq!(
+        outcome.words.matches("ch2 at the end of the converter's range").count(),
+        1,
+        "{}",
+        outcome.words
+    );
+    assert!(outcome.words.contains("5 of them no wrench"), "{}", outcome.words);
+
+    board.bench.with(|bench| bench.inject(Fault::ConverterMissing));
+    let outcome = ftcal(&board, &["stream", "--samples", "200"]);
+    assert!(outcome.has_code(0), "{}", outcome.words);
+    assert!(outcome.words.contains("no converter answers"), "{}", outcome.words);
+}
+
+#[test]
+fn a_calibration_that_does_not_fit_is_refused() {
+    let board = ServedBoard::new(ScenarioKind::Fingertip);
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("calibration.json");
+    true_calibration(&ServedBoard::new(ScenarioKind::Force), &path);
+    let upload = ["upload", &path.display().to_string()];
+    let outcome = ftcal(&board, &upload);
+    assert!(outcome.has_code(3) && outcome.words.contains("wrong-dimensions"), "{}", outcome.words);
+    fs::write(&path, "{}").expect("a folder of our own");
+    assert!(ftcal(&board, &upload).has_code(2));
+    assert_eq!(ftcal(&board, &["info", "--json"]).json()["calibration"], Value::Null);
+}
+
+#[test]
+fn info_names_what_is_wrong() {
+    let board = ServedBoard::new(ScenarioKind::Wrist);
+    assert!(ftcal(&board, &["record", "--samples", "1"]).has_code(0));
+    let healthy = ftcal(&board, &["info"]);
+    assert!(healthy.data.contains("converter    running\n"), "{}", healthy.data);
+    for (fault, words) in [
+        (Fault::ConverterMissing, "no converter answers"),
+        (Fault::BusBitErrors { probability: 0.05 }, "checksum"),
+    ] {
+        board.bench.with(|bench| bench.inject(fault));
+        // Longer than the sensor takes to find a silent converter and to try it once more.
+        pass(&board, 800);
+        let outcome = ftcal(&board, &["info"]);
+        assert!(
+            outcome.has_code(0) && outcome.data.contains("FAULT: ") && outcome.data.contains(words),
+            "{}",
+            outcome.data
+        );
+        let state = &ftcal(&board, &["info", "--json"]).json()["converter"]["state"];
+        assert_eq!(state, "faulty");
+        board.bench.with(Bench::clear_faults);
+        pass(&board, 700);
+        assert_eq!(ftcal(&board, &["info", "--json"]).json()["converter"]["state"], "running");
+    }
+}
+
+#[test]
+fn a_port_without_a_sensor_is_unusable_input() {
+    let cli =
+        Cli::try_parse_from(["ftcal", "info", "--port", "/dev/no-such-port"]).expect("the usage is right");
+    let (mut data, mut words) = (Vec::new(), Vec::new());
+    let code = cli::run(&cli, &mut Streams { data: &mut data, words: &mut words });
+    assert_eq!(code, ExitCode::from(2));
+    assert!(data.is_empty() && !words.is_empty());
+    for usage in [
+        ["record", "--samples=0"].as_slice(),
+        &["record"],
+        &["record", "--seconds=1", "--samples=1"],
+        &["record", "--seconds=nan"],
+        &["record", "--samples=1", "--rate=100"],
+        &["trial", "start", "--rank=4"],
+    ] {
+        assert!(Cli::try_parse_from([&["ftcal"], usage].concat()).is_err(), "{usage:?}");
+    }
+}

@@ -1,0 +1,170 @@
+//! `ftcal sim`: a simulated sensor behind a pseudo-terminal.
+
+use std::io::BufRead;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+use std::{io, thread};
+
+use anyhow::{Context, anyhow};
+use clap::Args;
+use ftcal_shared::units::{DataRate, Gain};
+use ftcal_shared::wire::frame::encode;
+use ftcal_shared::wire::{Request, ToDevice};
+
+use super::record::data_rate;
+use super::{Failure, Streams};
+use crate::recording::shown;
+use crate::simulator::bench::Bench;
+use crate::simulator::board::SimulatedBoard;
+use crate::simulator::bus::SharedBench;
+use crate::simulator::emulator::Emulator;
+use crate::simulator::operator::{HELP, Order, turn};
+use crate::simulator::pseudo_terminal::{PortLink, PseudoTerminal};
+use crate::simulator::scenario::{Scenario, ScenarioKind};
+use crate::simulator::tunnel::Pace;
+
+/// The arguments of `ftcal sim`.
+#[derive(Args, Clone, Debug)]
+pub struct Arguments {
+    /// Which of the paper's systems
+    #[arg(long, value_enum, default_value = "wrist")]
+    scenario: ScenarioKind,
+    /// Seed of everything random
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Data rate at the start, samples per second: 250, 500, 1000, 2000, 4000, 8000, 16000 or 32000
+    #[arg(long, value_name = "HZ", default_value = "1000", value_parser = data_rate)]
+    rate: DataRate,
+    /// Make a symbolic link to the port here
+    #[arg(long, value_name = "PATH")]
+    link: Option<PathBuf>,
+    /// Run this image of the firmware in QEMU instead of the firmware's code compiled for this machine
+    #[arg(long, value_name = "IMAGE", conflicts_with = "rate")]
+    emulator: Option<PathBuf>,
+}
+
+/// How often a running emulator looks whether it is to stop.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// Gages of the firmware's image.
+const IMAGE_GAGES: usize = 8;
+
+/// Serves until `quit` is typed, or until the process is ended.
+///
+/// # Errors
+///
+/// [`Failure`].
+pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> {
+    let scenario = Scenario::new(arguments.scenario, arguments.seed).map_err(Failure::input)?;
+    match &arguments.emulator {
+        None => serve_board(arguments, &scenario, streams),
+        Some(image) => run_image(arguments, &scenario, image, streams),
+    }
+}
+
+/// Serves the firmware's application, compiled for this machine.
+fn serve_board(arguments: &Arguments, scenario: &Scenario, streams: &mut Streams) -> Result<(), Failure> {
+    let board = SimulatedBoard::for_scenario(scenario, arguments.seed).map_err(Failure::input)?;
+    let bench = board.bench();
+    let mut board = board.into_board();
+    let configure = ToDevice::Request(0, Request::ConfigureAdc(arguments.rate, Gain::default()));
+    board.receive(&encode(&configure).map_err(|_| anyhow!("the request does not fit into a frame"))?);
+    let mut terminal = PseudoTerminal::open().context("no pseudo-terminal can be made")?;
+    let _link = announce(arguments, scenario, &bench, terminal.path(), streams)?;
+    let stop = operate(bench)?;
+    Ok(terminal.serve(board.as_mut(), &stop).context("the pseudo-terminal cannot be served")?)
+}
+
+/// Runs the firmware's image in QEMU.
+fn run_image(
+    arguments: &Arguments,
+    scenario: &Scenario,
+    image: &Path,
+    streams: &mut Streams,
+) -> Result<(), Failure> {
+    let bench = SharedBench::new(Bench::new(scenario.sensor.clone(), arguments.seed));
+    let emulator = Emulator::start(image, bench.clone(), Pace::RealTime).map_err(Failure::input)?;
+    let _link = announce(arguments, scenario, &bench, emulator.link(), streams)?;
+    let gages = scenario.sensor.gages();
+    if gages < IMAGE_GAGES {
+        writeln!(
+            streams.words,
+            "The image has {IMAGE_GAGES} gages: ch{gages} to ch{} are connected to nothing.",
+            IMAGE_GAGES - 1
+        )?;
+    }
+    let stop = operate(bench)?;
+    while !stop.load(Ordering::Relaxed) {
+        thread::sleep(LOOK);
+    }
+    Ok(())
+}
+
+/// Hangs the first trial's load on the sensor, says so, and prints the port's path. The link lives as long as what is
+/// returned.
+fn announce(
+    arguments: &Arguments,
+    scenario: &Scenario,
+    bench: &SharedBench,
+    port: &Path,
+    streams: &mut Streams,
+) -> Result<Option<PortLink>, Failure> {
+    let link = match &arguments.link {
+        None => None,
+        Some(at) => {
+            let cannot_link = || format!("{}: no link can be made there", shown(at));
+            Some(PortLink::new(port, at).with_context(cannot_link)?)
+        }
+    };
+    let sensor = &scenario.sensor;
+    writeln!(streams.words, "A simulated sensor of {} gages, seed {}.", sensor.gages(), arguments.seed)?;
+    if let Some(trial) = scenario.trials.first() {
+        let (load, arm) = (trial.load, trial.load.arm_m);
+        bench.with(|bench| {
+            bench.hang(load);
+            turn(bench);
+        });
+        write!(streams.words, "It is being turned with {} kg", load.mass_kg)?;
+        if sensor.dof().has_torque() {
+            write!(streams.words, " at the arm ({}, {}, {}) m", arm.x, arm.y, arm.z)?;
+        }
+        writeln!(streams.words, ". Type `help` for what else can be done at the bench.")?;
+    }
+    writeln!(streams.data, "{}", arguments.link.as_deref().unwrap_or(port).display())?;
+    streams.data.flush()?;
+    Ok(link)
+}
+
+/// Has what is typed carried out at the bench from now on. What is returned turns true when it says to stop, and when the
+/// process is told to end: QEMU and the link are to go with it.
+fn operate(bench: SharedBench) -> Result<Arc<AtomicBool>, Failure> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let interrupted = Arc::clone(&stop);
+    ctrlc::set_handler(move || interrupted.store(true, Ordering::Relaxed))
+        .context("the end of the process cannot be waited for")?;
+    let told_to_stop = Arc::clone(&stop);
+    // Not waited for in the end: it may be waiting for a line that never comes.
+    thread::spawn(move || carry_out_lines(&bench, &told_to_stop));
+    Ok(stop)
+}
+
+/// Carries out what is typed. At the end of the input the board goes on being served.
+fn carry_out_lines(bench: &SharedBench, stop: &AtomicBool) {
+    for line in io::stdin().lock().lines() {
+        let Ok(line) = line else { return };
+        match line.trim() {
+            "" => {}
+            "quit" | "exit" => {
+                stop.store(true, Ordering::Relaxed);
+                return;
+            }
+            "help" => eprintln!("{HELP}\nquit                        end the simulation"),
+            line => match line.parse::<Order>() {
+                Ok(order) => bench.with(|bench| order.carry_out(bench)),
+                Err(error) => eprintln!("{line}: {error}; type `help`"),
+            },
+        }
+    }
+}

@@ -1,0 +1,203 @@
+//! The session file as it is spelled, and the checks that make it a [`super::Session`].
+//!
+//! Each value that can be wrong carries its place in the text (`Spanned`), so that the complaint can point at it.
+
+use std::path::Path;
+
+use ftcal_shared::units::Dof;
+use nalgebra::DVector;
+use serde::Deserialize;
+use toml::Spanned;
+
+use super::{Rest, STANDARD_GRAVITY, SessionKnownLoad, SessionTrial, Turning, place};
+
+/// Gravity, mass and arm outside these are slips of the unit, not sensors; m/s², kg and m.
+const GRAVITY: std::ops::RangeInclusive<f64> = 1.0..=30.0;
+const MASS_KG: std::ops::RangeInclusive<f64> = 1e-6..=1e5;
+const LONGEST_ARM_M: f64 = 100.0;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Session {
+    dof: Dof,
+    gravity: Option<Spanned<f64>>,
+    #[serde(default)]
+    trial: Vec<Trial>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Trial {
+    recording: Spanned<String>,
+    mass_kg: Spanned<f64>,
+    arm_m: Option<Spanned<Vec<f64>>>,
+    turning: Option<Spanned<Turning>>,
+    #[serde(default)]
+    known_load: Vec<KnownLoad>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct KnownLoad {
+    recording: Option<Spanned<String>>,
+    window_s: Option<Spanned<Vec<f64>>>,
+    direction: Spanned<Vec<f64>>,
+    accuracy_deg: Spanned<f64>,
+}
+
+/// A value that makes no sense, at a byte offset of the text.
+pub(super) struct Unexpected {
+    pub(super) offset: usize,
+    pub(super) expected: String,
+    pub(super) found: String,
+}
+
+impl Unexpected {
+    fn at<T>(value: &Spanned<T>, expected: impl Into<String>, found: impl Into<String>) -> Self {
+        Self { offset: value.span().start, expected: expected.into(), found: found.into() }
+    }
+}
+
+impl Session {
+    pub(super) fn checked(self, path: &Path, text: &str) -> Result<super::Session, Unexpected> {
+        let gravity = match &self.gravity {
+            None => STANDARD_GRAVITY,
+            Some(gravity) if GRAVITY.contains(gravity.as_ref()) => *gravity.as_ref(),
+            Some(gravity) => {
+                let expected = format!("gravity from {} to {} m/s²", GRAVITY.start(), GRAVITY.end());
+                return Err(Unexpected::at(gravity, expected, gravity.as_ref().to_string()));
+            }
+        };
+        if self.trial.is_empty() {
+            return Err(Unexpected {
+                offset: text.len(),
+                expected: "at least one [[trial]]".to_owned(),
+                found: "none".to_owned(),
+            });
+        }
+        let context = Context { dof: self.dof, folder: path.parent().unwrap_or(Path::new("")), text };
+        let trials = self.trial.iter().map(|trial| trial.checked(&context)).collect::<Result<_, _>>()?;
+        Ok(super::Session { file: path.to_owned(), dof: self.dof, gravity, trials })
+    }
+}
+
+/// What the checks of a trial need to know.
+struct Context<'a> {
+    dof: Dof,
+    folder: &'a Path,
+    text: &'a str,
+}
+
+impl Trial {
+    fn checked(&self, context: &Context) -> Result<SessionTrial, Unexpected> {
+        if let Some(turning) = self.turning.as_ref().filter(|_| context.dof.trial_rank() != 2) {
+            return Err(Unexpected::at(turning, "no `turning`: only planar sensors have one", "one"));
+        }
+        if !MASS_KG.contains(self.mass_kg.as_ref()) {
+            let expected = format!("a mass from {} to {} kg", MASS_KG.start(), MASS_KG.end());
+            return Err(Unexpected::at(&self.mass_kg, expected, self.mass_kg.as_ref().to_string()));
+        }
+        Ok(SessionTrial {
+            recording: context.folder.join(file_name(&self.recording)?),
+            mass_kg: *self.mass_kg.as_ref(),
+            arm_m: self.arm(context.dof)?,
+            turning: self.turning.as_ref().map(|turning| *turning.as_ref()),
+            known_loads: self
+                .known_load
+                .iter()
+                .map(|load| load.checked(context))
+                .collect::<Result<_, _>>()?,
+            place: place(context.text, self.recording.span().start),
+        })
+    }
+
+    fn arm(&self, dof: Dof) -> Result<DVector<f64>, Unexpected> {
+        let components = dof.trial_rank();
+        match &self.arm_m {
+            None if dof.has_torque() => Err(Unexpected::at(
+                &self.recording,
+                "an `arm_m` for this trial: the sensor measures torque",
+                "none",
+            )),
+            None => Ok(DVector::zeros(0)),
+            Some(arm) if !dof.has_torque() => {
+                Err(Unexpected::at(arm, "no `arm_m`: the sensor measures no torque", "one"))
+            }
+            Some(arm) => {
+                let numbers = arm.as_ref();
+                let sane = |number: &f64| number.abs() <= LONGEST_ARM_M;
+                if numbers.len() == components && numbers.iter().all(sane) {
+                    Ok(DVector::from_column_slice(numbers))
+                } else {
+                    let expected = format!("{components} numbers in metres, each within ±{LONGEST_ARM_M}");
+                    Err(Unexpected::at(arm, expected, format!("{numbers:?}")))
+                }
+            }
+        }
+    }
+}
+
+impl KnownLoad {
+    fn checked(&self, context: &Context) -> Result<SessionKnownLoad, Unexpected> {
+        let (rest, span) = match (&self.recording, &self.window_s) {
+            (Some(file), None) => (Rest::Recording(context.folder.join(file_name(file)?)), file.span()),
+            (None, Some(window)) => match window.as_ref().as_slice() {
+                &[from_s, to_s] if from_s.is_finite() && to_s.is_finite() && from_s < to_s => {
+                    (Rest::Window { from_s, to_s }, window.span())
+                }
+                other => {
+                    let expected = "[from, to] in seconds, from before to";
+                    return Err(Unexpected::at(window, expected, format!("{other:?}")));
+                }
+            },
+            (Some(_), Some(window)) => {
+                return Err(Unexpected::at(
+                    window,
+                    "either `recording` or `window_s` for this known load",
+                    "both",
+                ));
+            }
+            (None, None) => {
+                let expected = "`recording` or `window_s` for this known load";
+                return Err(Unexpected::at(&self.direction, expected, "neither"));
+            }
+        };
+        let accuracy_deg = *self.accuracy_deg.as_ref();
+        if !(accuracy_deg > 0.0 && accuracy_deg < 90.0) {
+            let expected = "an accuracy above 0 and below 90 degrees";
+            return Err(Unexpected::at(&self.accuracy_deg, expected, accuracy_deg.to_string()));
+        }
+        Ok(SessionKnownLoad {
+            rest,
+            direction: self.direction(context.dof)?,
+            accuracy_deg,
+            place: place(context.text, span.start),
+        })
+    }
+
+    /// The direction as a unit vector. That of a planar sensor may be spelled in space, with z = 0.
+    fn direction(&self, dof: Dof) -> Result<DVector<f64>, Unexpected> {
+        let components = dof.trial_rank();
+        let numbers = self.direction.as_ref();
+        let in_frame = match numbers.as_slice() {
+            [x, y, z] if components == 2 && *z == 0.0 => vec![*x, *y],
+            _ => numbers.clone(),
+        };
+        let direction = DVector::from_vec(in_frame);
+        // Scaled first, so that the squares of the norm neither overflow nor vanish.
+        let scaled = &direction / direction.amax();
+        if direction.len() == components && scaled.iter().all(|component| component.is_finite()) {
+            Ok(scaled.normalize())
+        } else {
+            let expected = format!("{components} finite numbers, not all zero");
+            Err(Unexpected::at(&self.direction, expected, format!("{numbers:?}")))
+        }
+    }
+}
+
+fn file_name(name: &Spanned<String>) -> Result<&str, Unexpected> {
+    if name.as_ref().is_empty() {
+        return Err(Unexpected::at(name, "the name of a recording", "nothing"));
+    }
+    Ok(name.as_ref())
+}
