@@ -50,7 +50,7 @@ pub fn estimation(refusal: &Refusal) -> Explained {
             "motion-does-not-span",
             if relative_uncertainty.is_finite() {
                 format!(
-                    "the motion fixes the sensor's gains only within {:.0} % (at most {:.0} % is accepted)",
+                    "the motion fixes the sensor's gains only within {:.1} % (at most {:.1} % is accepted)",
                     50.0 * relative_uncertainty,
                     50.0 * need
                 )

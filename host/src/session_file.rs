@@ -13,7 +13,7 @@
 //! [[trial.known_load]]
 //! window_s = [3.0, 5.0]           # a rest within the trial, or recording = "rest.csv"
 //! direction = [0.0, 0.0, -1.0]    # of the force acting on the sensor, in the sensor frame
-//! accuracy_deg = 0.1              # one standard deviation of that direction
+//! accuracy_deg = 0.1              # one standard deviation of that direction; 1 where nothing is said
 //! ```
 //!
 //! Unknown fields are errors. Every error names line, column, what was expected and what stood there. What is read here
@@ -276,7 +276,7 @@ accuracy_deg = 0.2
             (WRIST, "[0, 0, -2.0]", "[0, 0, 0.0]", (8, 13)),
             (WRIST, "[0, 0, -2.0]", "[0, 1]", (8, 13)),
             (WRIST, "accuracy_deg = 0.1", "accuracy_deg = 90", (9, 16)),
-            (WRIST, "accuracy_deg = 0.1", "accuracy_deg = 0", (9, 16)),
+            (WRIST, "accuracy_deg = 0.1", "accuracy_deg = -0.1", (9, 16)),
             (WRIST, "recording = \"arm1.csv\"", "recording = \"\"", (3, 13)),
             (FINGERTIP, "9.81", "981", (2, 11)),
             (FINGERTIP, "[0.0, -1.0, 0]", "[0.0, -1.0, 0.1]", (9, 13)),

@@ -16,6 +16,12 @@ const GRAVITY: std::ops::RangeInclusive<f64> = 1.0..=30.0;
 const MASS_KG: std::ops::RangeInclusive<f64> = 1e-6..=1e5;
 const LONGEST_ARM_M: f64 = 100.0;
 
+/// Of a direction whose accuracy nobody states: set up by eye.
+const ASSUMED_ACCURACY_DEG: f64 = 1.0;
+
+/// No direction is believed to be better than this, whatever is stated: 0.2 mrad.
+const BEST_ACCURACY_DEG: f64 = 0.01;
+
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Session {
@@ -42,7 +48,7 @@ struct KnownLoad {
     recording: Option<Spanned<String>>,
     window_s: Option<Spanned<Vec<f64>>>,
     direction: Spanned<Vec<f64>>,
-    accuracy_deg: Spanned<f64>,
+    accuracy_deg: Option<Spanned<f64>>,
 }
 
 /// A value that makes no sense, at a byte offset of the text.
@@ -124,7 +130,7 @@ impl Trial {
                 Err(Unexpected::at(arm, "no `arm_m`: the sensor measures no torque", "one"))
             }
             Some(arm) => {
-                let numbers = arm.as_ref();
+                let numbers = in_plane(arm.as_ref(), components);
                 let sane = |number: &f64| number.abs() <= LONGEST_ARM_M;
                 if numbers.len() == components && numbers.iter().all(sane) {
                     Ok(DVector::from_column_slice(numbers))
@@ -162,11 +168,16 @@ impl KnownLoad {
                 return Err(Unexpected::at(&self.direction, expected, "neither"));
             }
         };
-        let accuracy_deg = *self.accuracy_deg.as_ref();
-        if !(accuracy_deg > 0.0 && accuracy_deg < 90.0) {
-            let expected = "an accuracy above 0 and below 90 degrees";
-            return Err(Unexpected::at(&self.accuracy_deg, expected, accuracy_deg.to_string()));
-        }
+        let accuracy_deg = match &self.accuracy_deg {
+            None => ASSUMED_ACCURACY_DEG,
+            Some(accuracy) if (0.0..90.0).contains(accuracy.as_ref()) => {
+                accuracy.as_ref().max(BEST_ACCURACY_DEG)
+            }
+            Some(accuracy) => {
+                let expected = "an accuracy from 0 to below 90 degrees";
+                return Err(Unexpected::at(accuracy, expected, accuracy.as_ref().to_string()));
+            }
+        };
         Ok(SessionKnownLoad {
             rest,
             direction: self.direction(context.dof)?,
@@ -175,15 +186,11 @@ impl KnownLoad {
         })
     }
 
-    /// The direction as a unit vector. That of a planar sensor may be spelled in space, with z = 0.
+    /// The direction as a unit vector.
     fn direction(&self, dof: Dof) -> Result<DVector<f64>, Unexpected> {
         let components = dof.trial_rank();
         let numbers = self.direction.as_ref();
-        let in_frame = match numbers.as_slice() {
-            [x, y, z] if components == 2 && *z == 0.0 => vec![*x, *y],
-            _ => numbers.clone(),
-        };
-        let direction = DVector::from_vec(in_frame);
+        let direction = DVector::from_column_slice(in_plane(numbers, components));
         // Scaled first, so that the squares of the norm neither overflow nor vanish.
         let scaled = &direction / direction.amax();
         if direction.len() == components && scaled.iter().all(|component| component.is_finite()) {
@@ -192,6 +199,14 @@ impl KnownLoad {
             let expected = format!("{components} finite numbers, not all zero");
             Err(Unexpected::at(&self.direction, expected, format!("{numbers:?}")))
         }
+    }
+}
+
+/// The components that a planar sensor has of a vector that is spelled in space, with z = 0; any other as it is.
+fn in_plane(numbers: &[f64], components: usize) -> &[f64] {
+    match numbers {
+        [plane @ .., z] if components == 2 && plane.len() == 2 && *z == 0.0 => plane,
+        _ => numbers,
     }
 }
 

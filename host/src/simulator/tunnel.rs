@@ -10,7 +10,7 @@ use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use ftcal_firmware::tunnel::{FromBoard, FromConverter, Transfer, TransferBytes, UNHANDLED_MICROS};
+use ftcal_firmware::tunnel::{FromBoard, FromConverter, Transfer, UNHANDLED_MICROS};
 use ftcal_shared::units::DeviceTime;
 use ftcal_shared::wire::frame::{Decoder, encode};
 
@@ -78,7 +78,7 @@ pub fn serve(
         loop {
             match event {
                 Ok(FromBoard::Transfer(question)) => {
-                    send(&mut writer, &FromConverter::Transferred(answer(question, converter)))?;
+                    send(&mut writer, &FromConverter::Transferred(answer(&question, converter)))?;
                 }
                 Ok(FromBoard::Handled) => unhandled = None,
                 Err(RecvTimeoutError::Timeout) => {
@@ -126,8 +126,8 @@ fn pass_on(mut reader: impl Read, sender: &Sender<FromBoard>) {
     }
 }
 
-fn answer(question: Transfer, converter: &mut impl TunnelledConverter) -> Transfer {
-    let mut bytes: TransferBytes = question.bytes.clone();
+fn answer(question: &Transfer, converter: &mut impl TunnelledConverter) -> Transfer {
+    let mut bytes = question.bytes.clone();
     converter.exchange(&question.bytes, &mut bytes);
     Transfer { number: question.number, bytes }
 }
