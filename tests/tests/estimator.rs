@@ -58,7 +58,9 @@ proptest! {
         let codes_of_the_trial = sensor.trial(700, &mut rng);
         let part = |codes: &[[AdcCode; 4]]| {
             let mut moments = Moments::<4, 55>::new(codes_of_the_trial[0]);
-            codes.iter().for_each(|sample| moments.push(sample).unwrap());
+            for sample in codes {
+                moments.push(sample).unwrap();
+            }
             moments
         };
         let (a, rest) = codes_of_the_trial.split_at(first);
@@ -155,7 +157,7 @@ proptest! {
         let sensor = KnownSensor::<8, 3>::random(&mut rng, 300_000.0, 300.0);
         let codes: Vec<_> = (0..1200)
             .map(|sample: usize| {
-                let sign = if sample % 2 == 0 { 1.0 } else { -1.0 };
+                let sign = if sample.is_multiple_of(2) { 1.0 } else { -1.0 };
                 let direction = SVector::<f64, 3>::from_fn(|row, _| if row == (sample / 2) % 3 { sign } else { 0.0 });
                 sensor.codes(&direction, &mut rng)
             })

@@ -9,8 +9,9 @@ use ftcal_shared::refusal::Refusal;
 use ftcal_shared::units::{AdcCode, DataRate, DeviceTime, Dof, Gain, SampleIndex};
 use ftcal_shared::wire::frame::{Decoder, FrameError, encode};
 use ftcal_shared::wire::{
-    AdcState, CalibrationUpload, ClockSource, CodesFrame, GageList, Hello, InvalidCause, Measurement, PROTOCOL_VERSION,
-    Rejection, Request, Response, Solution, Status, StreamKind, ToDevice, ToHost, TrialPhase, TrialStatus, WrenchFrame,
+    AdcState, CalibrationUpload, ClockSource, CodesFrame, GageList, Hello, InvalidCause, Measurement,
+    PROTOCOL_VERSION, Rejection, Request, Response, Solution, Status, StreamKind, ToDevice, ToHost,
+    TrialPhase, TrialStatus, WrenchFrame,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -219,7 +220,8 @@ fn faults() {
 
 #[test]
 fn stream_frames() {
-    let codes = [AdcCode::MIN, AdcCode::new(-1).unwrap(), AdcCode::ZERO, AdcCode::new(300).unwrap(), AdcCode::MAX];
+    let codes =
+        [AdcCode::MIN, AdcCode::new(-1).unwrap(), AdcCode::ZERO, AdcCode::new(300).unwrap(), AdcCode::MAX];
     let frame = CodesFrame {
         index: SampleIndex::new(128),
         time: DeviceTime::from_micros(300),
@@ -232,7 +234,11 @@ fn stream_frames() {
     ]);
 
     let frame = |measurement| {
-        ToHost::Wrench(WrenchFrame { index: SampleIndex::new(1), time: DeviceTime::from_micros(2), measurement })
+        ToHost::Wrench(WrenchFrame {
+            index: SampleIndex::new(1),
+            time: DeviceTime::from_micros(2),
+            measurement,
+        })
     };
     #[rustfmt::skip]
     assert_golden(&frame(Measurement::Valid { wrench: [0.5, -2.0, 0.0, 1.0, 0.0, 0.0], calibration: 300 }), &[

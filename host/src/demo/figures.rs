@@ -8,11 +8,11 @@ use super::report::{angle_milliradian, force};
 use super::trials::{AcquiredTrial, GRAVITY};
 use super::validation::MeasuredLoad;
 use crate::calibration::Calibration;
+use crate::plots::PlotError;
 use crate::plots::angular_error::{self, KnownLoadError};
 use crate::plots::magnitude::{self, MagnitudeSample};
 use crate::plots::polar::{self, PlanarLoad};
 use crate::plots::sphere::{self, SpatialLoad};
-use crate::plots::PlotError;
 
 /// Points beyond this only blacken a picture.
 const MOST_POINTS: usize = 1500;
@@ -50,9 +50,18 @@ pub fn draw(
         let motion = in_sensor_frame(trial, calibration);
         if dof.trial_rank() == 2 {
             let path = add("Recovered motion of the first trial (figure 5)", "figure5_motion_polar.svg");
-            polar::draw(&motion.iter().map(|m| PlanarLoad { x_unit_loads: m[0], y_unit_loads: m[1] }).collect::<Vec<_>>(), &path)?;
+            polar::draw(
+                &motion
+                    .iter()
+                    .map(|m| PlanarLoad { x_unit_loads: m[0], y_unit_loads: m[1] })
+                    .collect::<Vec<_>>(),
+                &path,
+            )?;
         } else {
-            let path = add("Magnitude over azimuth of the first trial's motion (figure 5)", "figure5_motion_polar.svg");
+            let path = add(
+                "Magnitude over azimuth of the first trial's motion (figure 5)",
+                "figure5_motion_polar.svg",
+            );
             polar::draw(&motion.iter().map(magnitude_over_azimuth).collect::<Vec<_>>(), &path)?;
             let path = add("Recovered motion of the first trial (figure 6)", "figure6_motion_sphere.svg");
             let points: Vec<_> = motion
@@ -80,7 +89,11 @@ pub fn draw(
             .iter()
             .take(KNOWN_LOADS)
             .map(|orientation| KnownLoadError {
-                shape_from_motion_milliradian: angle_milliradian(orientation, &orientation.shape_from_motion, dof),
+                shape_from_motion_milliradian: angle_milliradian(
+                    orientation,
+                    &orientation.shape_from_motion,
+                    dof,
+                ),
                 least_squares_milliradian: angle_milliradian(orientation, &orientation.least_squares, dof),
             })
             .collect();

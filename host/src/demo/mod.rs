@@ -7,7 +7,7 @@
 //! 1. [`trials`]: hang the mass at each arm, turn the sensor at random, let the sensor solve its own trial; then hold it at a
 //!    few known directions.
 //! 2. orient, prove the handedness, fuse ([`crate::calibration`]); write the calibration file; upload it.
-//! 3. [`reference`]: the same sensor calibrated by least squares (eq. 3) on 13 known loads.
+//! 3. [`mod@reference`]: the same sensor calibrated by least squares (eq. 3) on 13 known loads.
 //! 4. [`validation`]: loads that neither calibration has seen, measured with both.
 //! 5. [`report`] and [`figures`]: tables against the truth, and the paper's figures 5, 6, 8, 9.
 //!
@@ -15,6 +15,7 @@
 //! is wrong by the same [`Workmanship`].
 
 pub mod figures;
+pub mod kept;
 pub mod reference;
 pub mod report;
 pub mod trials;
@@ -168,7 +169,7 @@ pub fn run(options: &Options, out: &mut dyn Write, progress: &mut dyn Write) -> 
     let file = options.folder.join("calibration.json");
     write_calibration(&calibration, &file)?;
     if options.keep_recordings {
-        trials::keep(&acquired, scenario.sensor.dof(), stage.workmanship, &options.folder)?;
+        kept::keep(&acquired, scenario.sensor.dof(), &options.folder)?;
     }
     let upload = calibration.upload()?;
     stage.client.upload_calibration(&upload)?;
@@ -184,7 +185,7 @@ pub fn run(options: &Options, out: &mut dyn Write, progress: &mut dyn Write) -> 
         writeln!(out, "{}: {}", figure.caption, figure.path.display())?;
     }
     if options.keep_recordings {
-        writeln!(out, "Session with its recordings: {}", options.folder.join(trials::SESSION).display())?;
+        writeln!(out, "Session with its recordings: {}", options.folder.join(kept::SESSION).display())?;
     }
     Ok(())
 }

@@ -45,7 +45,8 @@ pub fn calibrate(
             known_loads: vec![KnownLoad {
                 direction: DVector::from_iterator(rank, direction.iter().copied().take(rank)),
                 accuracy_rad: stage.workmanship.direction_rad,
-                rest: average(&rest).ok_or(CalibrationRefusal::KnownLoadSaturated { trial: number, load: 0 })?,
+                rest: average(&rest)
+                    .ok_or(CalibrationRefusal::KnownLoadSaturated { trial: number, load: 0 })?,
             }],
         });
     }

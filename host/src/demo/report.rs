@@ -57,9 +57,13 @@ fn against_truth(
     out: &mut dyn Write,
 ) -> io::Result<()> {
     let full_load = full_load(scenario);
-    let columns = [shape_from_motion, least_squares].map(|calibration| AxisErrors::of(calibration, scenario, &full_load));
+    let columns = [shape_from_motion, least_squares]
+        .map(|calibration| AxisErrors::of(calibration, scenario, &full_load));
     writeln!(out, "Calibration matrix against the truth, per cent of the full load of each axis")?;
-    writeln!(out, "                        shape from motion        least squares, {KNOWN_LOADS} known loads")?;
+    writeln!(
+        out,
+        "                        shape from motion        least squares, {KNOWN_LOADS} known loads"
+    )?;
     writeln!(out, "  axis  full load         gain   cross-talk        gain   cross-talk")?;
     for (row, &axis) in scenario.sensor.dof().axes().iter().enumerate() {
         writeln!(
@@ -101,11 +105,15 @@ struct AxisErrors {
 impl AxisErrors {
     fn of(calibration: &Calibration, scenario: &Scenario, full_load: &DVector<f64>) -> Self {
         let components = full_load.len();
-        let error =
-            &calibration.matrix * scenario.sensor.shape().transpose() - DMatrix::identity(components, components);
-        let percent = |row: usize, column: usize| 100.0 * error[(row, column)] * full_load[column] / full_load[row];
+        let error = &calibration.matrix * scenario.sensor.shape().transpose()
+            - DMatrix::identity(components, components);
+        let percent =
+            |row: usize, column: usize| 100.0 * error[(row, column)] * full_load[column] / full_load[row];
         let cross_talk = |row: usize| {
-            (0..components).filter(|&column| column != row).map(|column| percent(row, column).abs()).fold(0.0, f64::max)
+            (0..components)
+                .filter(|&column| column != row)
+                .map(|column| percent(row, column).abs())
+                .fold(0.0, f64::max)
         };
         Self {
             gain_percent: (0..components).map(|row| percent(row, row)).collect(),
@@ -115,7 +123,10 @@ impl AxisErrors {
 }
 
 fn magnitudes(measured: &[MeasuredLoad], dof: Dof, out: &mut dyn Write) -> io::Result<()> {
-    writeln!(out, "\nForce magnitude of loads never used, over all orientations (as the paper's tables 1 and 2)")?;
+    writeln!(
+        out,
+        "\nForce magnitude of loads never used, over all orientations (as the paper's tables 1 and 2)"
+    )?;
     writeln!(out, "               shape from motion                 least squares")?;
     writeln!(out, "  true N      mean N   error %    std N       mean N   error %    std N")?;
     for MeasuredLoad { load, orientations } in measured {
@@ -138,7 +149,8 @@ fn errors(measured: &[MeasuredLoad], dof: Dof, out: &mut dyn Write) -> io::Resul
     let all = || measured.iter().flat_map(|load| &load.orientations);
     let row = |name: &str, unit: &str, error: &dyn Fn(&Orientation, &DVector<f64>) -> f64| {
         let [ours, theirs] = ESTIMATES.map(|estimate| {
-            let errors: Vec<f64> = all().map(|orientation| error(orientation, estimate(orientation))).collect();
+            let errors: Vec<f64> =
+                all().map(|orientation| error(orientation, estimate(orientation))).collect();
             mean_and_std(&errors).0
         });
         format!("  {name:<18} {unit:<6}{ours:10.5}        {theirs:10.5}")
@@ -147,7 +159,8 @@ fn errors(measured: &[MeasuredLoad], dof: Dof, out: &mut dyn Write) -> io::Resul
         (force(estimate, dof).norm() - force(&orientation.truth, dof).norm()).abs()
     };
     writeln!(out, "{}", row("force magnitude", "N", &magnitude))?;
-    let angle = |orientation: &Orientation, estimate: &DVector<f64>| angle_milliradian(orientation, estimate, dof);
+    let angle =
+        |orientation: &Orientation, estimate: &DVector<f64>| angle_milliradian(orientation, estimate, dof);
     writeln!(out, "{}", row("force direction", "mrad", &angle))?;
     if dof.has_torque() {
         let torque = |orientation: &Orientation, estimate: &DVector<f64>| {

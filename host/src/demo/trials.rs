@@ -2,7 +2,6 @@
 //! it at a few known directions (paper, figure 2).
 
 use std::io::Write;
-use std::path::Path;
 use std::time::Duration;
 
 use ftcal_shared::units::{AdcCode, Dof, SampleIndex};
@@ -11,7 +10,7 @@ use nalgebra::{DMatrix, DVector, Rotation3, Unit, UnitVector3, Vector3};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::{DemoError, Stage, file_error};
+use super::{DemoError, Stage};
 use crate::calibration::known_load::{KnownLoad, LoadCase, average};
 use crate::calibration::motion;
 use crate::calibration::trial::{self, SampleCounts, TrialShape};
@@ -20,7 +19,7 @@ use crate::calibration::{CalibrationRefusal, SolvedTrial};
 use crate::link::client::Client;
 use crate::link::error::{ClientError, LinkError};
 use crate::link::frame::Frame;
-use crate::recording::{Recording, writer};
+use crate::recording::Recording;
 use crate::session_file;
 use crate::simulator::bench::{Load, STANDARD_GRAVITY};
 use crate::simulator::board::SimulatedBoard;
@@ -41,9 +40,6 @@ const SETTLING: Duration = Duration::from_millis(50);
 
 /// The longest wait for a sample.
 const SAMPLE_WAIT: Duration = Duration::from_secs(1);
-
-/// Name of the session file that goes with the recordings.
-pub const SESSION: &str = "session.toml";
 
 /// One trial with all that was recorded of it.
 pub struct AcquiredTrial {
@@ -90,7 +86,11 @@ pub fn acquire(
             "  solved on the sensor from {} samples, noise {:.0} counts; the host, from the same codes: {}.",
             solution.samples,
             solution.noise_counts.unwrap_or(0.0),
-            if difference == 0.0 { "the same to the last bit".to_owned() } else { format!("the same to {difference:.0e}") },
+            if difference == 0.0 {
+                "the same to the last bit".to_owned()
+            } else {
+                format!("the same to {difference:.0e}")
+            },
         )?;
         let motion = motion::recover(&recording, &shape).map_err(refused(index))?;
         let uncertainty = motion.uncertainty().ok_or(CalibrationRefusal::TrialUncertain { trial: index })?;
@@ -115,7 +115,11 @@ pub fn acquire(
             arm_m: arm_components(scenario.sensor.dof(), &trial.load),
             known_loads,
         };
-        acquired.push(AcquiredTrial { solved: SolvedTrial { case, shape, uncertainty, turned }, recording, rests });
+        acquired.push(AcquiredTrial {
+            solved: SolvedTrial { case, shape, uncertainty, turned },
+            recording,
+            rests,
+        });
     }
     Ok(acquired)
 }
@@ -211,7 +215,8 @@ fn tilted(
     planar: bool,
     chance: &mut ChaCha8Rng,
 ) -> UnitVector3<f64> {
-    let mut turn = Vector3::from_fn(|_, _| deviation_rad * Distribution::<f64>::sample(&StandardNormal, chance));
+    let mut turn =
+        Vector3::from_fn(|_, _| deviation_rad * Distribution::<f64>::sample(&StandardNormal, chance));
     if planar {
         turn = Vector3::new(0.0, 0.0, turn.z);
     }
@@ -295,51 +300,4 @@ const fn claimed(turning: Turning) -> session_file::Turning {
 
 fn recording_name(trial: usize) -> String {
     format!("trial{}.csv", trial + 1)
-}
-
-/// Writes the recordings and the session file that calibrates from them.
-///
-/// # Errors
-///
-/// [`DemoError::File`].
-pub fn keep(
-    acquired: &[AcquiredTrial],
-    dof: Dof,
-    workmanship: super::Workmanship,
-    folder: &Path,
-) -> Result<(), DemoError> {
-    let mut session = format!("dof = {}\ngravity = {GRAVITY}\n", quoted(dof));
-    for (index, trial) in acquired.iter().enumerate() {
-        let case = &trial.solved.case;
-        save(&trial.recording, &folder.join(&case.name))?;
-        session += &format!("\n[[trial]]\nrecording = \"{}\"\nmass_kg = {}\n", case.name, case.mass_kg);
-        if !case.arm_m.is_empty() {
-            session += &format!("arm_m = {:?}\n", case.arm_m.as_slice());
-        }
-        if let Some(Turned { claimed, .. }) = trial.solved.turned {
-            session += &format!("turning = {}\n", quoted(claimed));
-        }
-        for (load, (known, rest)) in case.known_loads.iter().zip(&trial.rests).enumerate() {
-            let name = format!("trial{}_known{}.csv", index + 1, load + 1);
-            save(rest, &folder.join(&name))?;
-            session += &format!(
-                "\n[[trial.known_load]]\nrecording = \"{name}\"\ndirection = {:?}\naccuracy_deg = {:.3}\n",
-                known.direction.as_slice(),
-                workmanship.direction_rad.to_degrees()
-            );
-        }
-    }
-    let path = folder.join(SESSION);
-    std::fs::write(&path, session).map_err(file_error(&path))
-}
-
-/// A word of the session file, as its own enums spell it.
-fn quoted(word: impl serde::Serialize) -> String {
-    serde_json::to_string(&word).unwrap_or_default()
-}
-
-fn save(recording: &Recording, path: &Path) -> Result<(), DemoError> {
-    let mut bytes = Vec::new();
-    writer::write(recording, &mut bytes)?;
-    std::fs::write(path, bytes).map_err(file_error(path))
 }

@@ -56,7 +56,11 @@ pub fn measure(
     let dof = scenario.sensor.dof();
     let mut measured = Vec::with_capacity(scenario.validation.len());
     for &load in &scenario.validation {
-        writeln!(progress, "Measuring {:.4} kg, never used before, in {ORIENTATIONS} orientations …", load.mass_kg)?;
+        writeln!(
+            progress,
+            "Measuring {:.4} kg, never used before, in {ORIENTATIONS} orientations …",
+            load.mass_kg
+        )?;
         let mut orientations = Vec::with_capacity(ORIENTATIONS);
         for _ in 0..ORIENTATIONS {
             let direction = any_direction(dof.trial_rank(), &mut stage.chance);
@@ -64,7 +68,11 @@ pub fn measure(
             let truth = stage.bench.with(|bench| bench.true_wrench()).components(dof);
             let shape_from_motion = streamed_mean(stage, calibration.dof.count())?;
             let codes = stage.record(SAMPLES)?;
-            orientations.push(Orientation { truth, shape_from_motion, least_squares: applied_mean(least_squares, &codes) });
+            orientations.push(Orientation {
+                truth,
+                shape_from_motion,
+                least_squares: applied_mean(least_squares, &codes),
+            });
         }
         measured.push(MeasuredLoad { load, orientations });
     }
@@ -100,6 +108,7 @@ fn streamed_mean(stage: &mut Stage, components: usize) -> Result<DVector<f64>, D
 }
 
 fn applied_mean(calibration: &Calibration, codes: &Recording) -> DVector<f64> {
-    let sum: DVector<f64> = codes.samples().map(|(_, sample)| calibration.wrench(&codes.counts(sample))).sum();
+    let sum: DVector<f64> =
+        codes.samples().map(|(_, sample)| calibration.wrench(&codes.counts(sample))).sum();
     sum / codes.len() as f64
 }

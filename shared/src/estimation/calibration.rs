@@ -4,7 +4,7 @@ use nalgebra::{Cholesky, SMatrix};
 
 use crate::refusal::Refusal;
 
-/// C = [Sᵀ]⁺ = (SSᵀ)⁻¹S (m × p) of a shape S (m × p): newton, or newton metre, per count where S has counts per newton.
+/// `C = [Sᵀ]⁺ = (SSᵀ)⁻¹S` (m × p) of a shape S (m × p): newton, or newton metre, per count where S has counts per newton.
 ///
 /// Noise of equal variance in every channel is assumed; the pseudo-inverse is then the least-squares estimate of the
 /// load (eq. 5).

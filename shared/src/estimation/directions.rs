@@ -2,7 +2,7 @@
 //!
 //! The covariance of the metric constraint needs moments of degree six of the direction m, which nobody sums up. But the
 //! density of m on the unit sphere is known up to degree four: its part of degree l at a direction q is
-//! (2l + 1)·E[Pₗ(q·m)] in space and 2·E[Tₗ(q·m)] in the plane (addition theorem; Legendre and Chebyshev polynomials). The
+//! (2l + 1)·⟨Pₗ(q·m)⟩ in space and 2·⟨Tₗ(q·m)⟩ in the plane (addition theorem; Legendre and Chebyshev polynomials). The
 //! parts beyond degree four are taken as zero; moments of degree six are then sums over a quadrature that is exact for
 //! degree ten.
 
@@ -23,7 +23,7 @@ const AROUND: usize = 12;
 /// Moments of the load's direction m about zero, less the noise; |m| = 1 on average.
 #[derive(Clone, Debug)]
 pub struct DirectionMoments<const RANK: usize> {
-    /// E[m].
+    /// ⟨m⟩.
     pub first: SVector<f64, RANK>,
     /// Degrees two to four.
     pub higher: MotionMoments<RANK>,
@@ -35,7 +35,7 @@ impl<const RANK: usize> DirectionMoments<RANK> {
         Self { higher: central.about_zero(&mean), first: mean }
     }
 
-    /// E[mmᵀ].
+    /// ⟨mmᵀ⟩.
     pub fn second(&self) -> SMatrix<f64, RANK, RANK> {
         SMatrix::from_fn(|a, b| self.higher.second[a][b])
     }
@@ -54,7 +54,7 @@ impl<const RANK: usize> DirectionMoments<RANK> {
         density.max(0.0)
     }
 
-    /// E[(q·m)ᵏ] for k = 1 … 4.
+    /// ⟨(q·m)ᵏ⟩ for k = 1 … 4.
     fn powers(&self, q: &SVector<f64, RANK>) -> [f64; 4] {
         let mut powers = [self.first.dot(q), 0.0, 0.0, 0.0];
         for a in 0..RANK {
@@ -102,7 +102,7 @@ mod tests {
     use super::for_each_direction;
     use nalgebra::{Vector2, Vector3};
 
-    /// E[x²] = 1/3, E[x⁴] = 1/5, E[x²y²] = 1/15, E[x⁶] = 1/7, E[x¹⁰] = 1/11 on the sphere; 1/2, 3/8 and 63/256 on the circle.
+    /// ⟨x²⟩ = 1/3, ⟨x⁴⟩ = 1/5, ⟨x²y²⟩ = 1/15, ⟨x⁶⟩ = 1/7, ⟨x¹⁰⟩ = 1/11 on the sphere; 1/2, 3/8 and 63/256 on the circle.
     #[test]
     fn the_quadrature_is_exact() {
         let mut sums = [0.0; 6];

@@ -104,7 +104,7 @@ fn require_determined<const RANK: usize>(
     Ok(())
 }
 
-/// E[φ] of central moments.
+/// ⟨φ⟩ of central moments.
 fn means<const RANK: usize>(central: &MotionMoments<RANK>) -> Coefficients {
     let mut means = Coefficients::zeros();
     for a in 0..RANK {

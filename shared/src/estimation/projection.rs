@@ -8,14 +8,14 @@ use nalgebra::{SMatrix, SVector};
 
 use super::moments::{HigherMonomial, Moments, for_each_higher_monomial};
 
-/// Central moments E[y], … up to degree four of the motion's r coordinates; every index order is filled in.
+/// Central moments ⟨y⟩, … up to degree four of the motion's r coordinates; every index order is filled in.
 #[derive(Clone, Debug)]
 pub struct MotionMoments<const RANK: usize> {
-    /// E[yₐy_b], the unit of y squared.
+    /// ⟨yₐy_b⟩, the unit of y squared.
     pub second: [[f64; RANK]; RANK],
-    /// E[yₐy_by_c].
+    /// ⟨yₐy_by_c⟩.
     pub third: [[[f64; RANK]; RANK]; RANK],
-    /// E[yₐy_by_cy_d].
+    /// ⟨yₐy_by_cy_d⟩.
     pub fourth: [[[[f64; RANK]; RANK]; RANK]; RANK],
 }
 
@@ -51,9 +51,9 @@ impl<const RANK: usize> MotionMoments<RANK> {
     /// (Kukush, Markovsky, Van Huffel, *Consistent estimation in an implicit quadratic measurement error model*):
     ///
     /// ```text
-    /// E[yₐy_b]       less δ_ab νₐ
-    /// E[yₐy_by_c]    as it is, about the mean
-    /// E[yₐy_by_cy_d] less Σ₆ δ_ab νₐ E[y_cy_d], plus Σ₃ δ_ab νₐ δ_cd ν_c
+    /// ⟨yₐy_b⟩       less δ_ab νₐ
+    /// ⟨yₐy_by_c⟩    as it is, about the mean
+    /// ⟨yₐy_by_cy_d⟩ less Σ₆ δ_ab νₐ ⟨y_cy_d⟩, plus Σ₃ δ_ab νₐ δ_cd ν_c
     /// ```
     ///
     /// (sums over the ways to pair the indices).
@@ -159,7 +159,7 @@ fn turn_fourth<const RANK: usize>(tensor: &Fourth<RANK>, matrix: &SMatrix<f64, R
 type Third<const RANK: usize> = [[[f64; RANK]; RANK]; RANK];
 type Fourth<const RANK: usize> = [[[[f64; RANK]; RANK]; RANK]; RANK];
 
-/// E[yₐy_b] about the pivot.
+/// ⟨yₐy_b⟩ about the pivot.
 fn rotate_second<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
     moments: &Moments<GAGES, HIGHER>,
     basis: &SMatrix<f64, GAGES, RANK>,
@@ -168,7 +168,7 @@ fn rotate_second<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
     rows(&(basis.transpose() * gram * basis))
 }
 
-/// E[yₐy_by_c] and E[yₐy_by_cy_d] about the pivot.
+/// ⟨yₐy_by_c⟩ and ⟨yₐy_by_cy_d⟩ about the pivot.
 ///
 /// Channel indices are kept ascending, i ≤ j ≤ k ≤ l. A monomial contributes once for every *distinct* channel that can
 /// be taken out of it, which is what the guards on repeated indices say.

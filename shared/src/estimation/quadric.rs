@@ -36,7 +36,7 @@ pub(super) fn monomials<const RANK: usize>(x: &SVector<f64, RANK>) -> Coefficien
     phi
 }
 
-/// E[φφᵀ] from the moments of x.
+/// ⟨φφᵀ⟩ from the moments of x.
 pub(super) fn normal_matrix<const RANK: usize>(
     moments: &MotionMoments<RANK>,
 ) -> SMatrix<f64, UNKNOWNS, UNKNOWNS> {

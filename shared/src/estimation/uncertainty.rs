@@ -4,12 +4,12 @@
 //!
 //! 1. **Along the shape.** The metric constraint says |m|² = 1 + mᵀEm + hᵀm + noise of variance
 //!    v(m) = 4 mᵀDm + 2 tr D² + u, where D = σ² diag(1/g) is the noise of m and u whatever else disturbs the
-//!    magnitude. With φ(m) the products mₐm_b and the mₐ, Ψ = E[φφᵀ]:
-//!    cov(E, h) = Ψ⁻¹ E[φφᵀ v] Ψ⁻¹ / n. Then δS = (E/2) S and δb = Sᵀh/2. The orientation is arbitrary, so the answer is given
+//!    magnitude. With φ(m) the products mₐm_b and the mₐ, Ψ = ⟨φφᵀ⟩:
+//!    cov(E, h) = Ψ⁻¹ ⟨φφᵀ v⟩ Ψ⁻¹ / n. Then δS = (E/2) S and δb = Sᵀh/2. The orientation is arbitrary, so the answer is given
 //!    for the orientation closest to the truth, where δS Sᵀ is symmetric: element (a, b) of E/2 counts 2gₐ/(gₐ + g_b)
 //!    times.
 //! 2. **Across it**, in the p − r redundant directions of the codes, S and b are a linear regression on (m, 1):
-//!    covariance σ² (n E[(m, 1)(m, 1)ᵀ])⁻¹ in every such direction.
+//!    covariance σ² (n ⟨(m, 1)(m, 1)ᵀ⟩)⁻¹ in every such direction.
 
 use nalgebra::{Cholesky, SMatrix, SVector};
 

@@ -1,0 +1,245 @@
+//! The firmware's images in the emulator, driven by the host library over a pseudo-terminal.
+//!
+//! Both are run: the emulated one, whose converter is the simulator's, and the real one, which finds nothing on its bus.
+//! `tests/run` builds them and sees to the emulator. One board at a time: two would be too slow for a small machine.
+#![cfg(unix)]
+
+use std::path::PathBuf;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::thread;
+use std::time::Duration;
+
+use ftcal::link::client::Client;
+use ftcal::link::frame::{Frame, Measured};
+use ftcal::link::serial::SerialTransport;
+use ftcal::simulator::bench::Bench;
+use ftcal::simulator::bus::SharedBench;
+use ftcal::simulator::emulator::Emulator;
+use ftcal::simulator::fault::Fault;
+use ftcal::simulator::scenario::{Scenario, ScenarioKind};
+use ftcal::simulator::sensor::SoftwareSensor;
+use ftcal::simulator::tunnel::{Pace, TunnelledConverter};
+use ftcal_firmware::tunnel::ANSWER_MICROS;
+use ftcal_shared::estimation::moments::{Moments, higher_moment_count};
+use ftcal_shared::estimation::shape::solve_trial;
+use ftcal_shared::fault::AdcFault;
+use ftcal_shared::units::{AdcCode, DataRate, DeviceTime, Gain};
+use ftcal_shared::wire::{
+    AdcState, CalibrationUpload, ClockSource, CodesFrame, GageList, StreamKind, TrialPhase,
+};
+use nalgebra::{SMatrix, UnitVector3, Vector3};
+
+/// Gages of the image.
+const GAGES: usize = 8;
+
+/// Samples of the trial: 20 seconds of turning.
+const TRIAL_SAMPLES: usize = 5000;
+const TRIAL_RATE: DataRate = DataRate::Hz250;
+
+/// How long the next sample may take on a busy machine.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// How long the board is given to find out what is wrong with its converter, or that nothing is any more.
+const DIAGNOSIS: Duration = Duration::from_secs(20);
+
+static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+
+fn alone() -> MutexGuard<'static, ()> {
+    ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn image(name: &str) -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../target/images").join(name)
+}
+
+fn bench_of(scenario: &Scenario) -> SharedBench {
+    SharedBench::new(Bench::new(scenario.sensor.clone(), 1))
+}
+
+fn wrist() -> Scenario {
+    Scenario::new(ScenarioKind::Wrist, 1).unwrap()
+}
+
+fn emulate(converter: impl TunnelledConverter + Send + 'static) -> Emulator {
+    Emulator::start(&image("ftcal-emulated.elf"), converter, Pace::AsHandled).unwrap()
+}
+
+fn connect(emulator: &Emulator) -> Client<SerialTransport> {
+    let path = emulator.link().to_str().unwrap();
+    Client::connect(SerialTransport::open(path).unwrap()).unwrap()
+}
+
+/// Waits until the board says this of its converter. It must answer all the while.
+fn wait_for(client: &mut Client<SerialTransport>, expected: AdcState) {
+    let mut waited = Duration::ZERO;
+    let step = Duration::from_millis(100);
+    while client.status().unwrap().adc != expected {
+        assert!(waited < DIAGNOSIS, "{:?} instead of {expected:?}", client.status().unwrap().adc);
+        client.wait(step).unwrap();
+        waited += step;
+    }
+}
+
+fn next_codes(client: &mut Client<SerialTransport>) -> CodesFrame {
+    match client.next_frame(PATIENCE).unwrap() {
+        Some(Frame::Codes(frame)) => frame,
+        other => panic!("{other:?} instead of codes"),
+    }
+}
+
+/// SᵀS: what is known of a shape whose orientation is not.
+fn unoriented<const RANK: usize>(shape: &SMatrix<f64, RANK, GAGES>) -> SMatrix<f64, GAGES, GAGES> {
+    shape.transpose() * shape
+}
+
+/// The sensor's true calibration, as the sensor takes it.
+fn true_calibration(sensor: &SoftwareSensor) -> CalibrationUpload {
+    let matrix = sensor.shape().transpose().pseudo_inverse(1e-12).unwrap();
+    // Row by row; nalgebra stores column by column.
+    let elements = matrix.transpose();
+    #[expect(clippy::cast_possible_truncation, reason = "the sensor applies single precision")]
+    let mut upload = CalibrationUpload {
+        dof: sensor.dof(),
+        bias_counts: GageList::from_slice(sensor.bias_counts().as_slice()).unwrap(),
+        matrix: elements.iter().map(|&element| element as f32).collect(),
+        identity: 0,
+    };
+    upload.identity = upload.identity_of_numbers();
+    upload
+}
+
+#[test]
+#[ignore = "needs the images and the emulator: tests/run provides both"]
+fn a_trial_is_run_and_solved_and_wrenches_are_measured() {
+    let _alone = alone();
+    let scenario = wrist();
+    let bench = bench_of(&scenario);
+    let emulator = emulate(bench.clone());
+    let mut client = connect(&emulator);
+
+    wait_for(&mut client, AdcState::Running);
+    let status = client.configure_adc(TRIAL_RATE, Gain::X128).unwrap();
+    assert_eq!(usize::from(status.gages), GAGES);
+    // The emulator models no crystal: the bounded wait for it, and the fall-back, have worked.
+    assert_eq!(status.clock, ClockSource::InternalFallback);
+
+    bench.with(|bench| {
+        bench.hang(scenario.trials[0].load);
+        bench.turn();
+    });
+    client.stream(StreamKind::Codes).unwrap();
+    client.start_trial(3).unwrap();
+    let mut streamed: Vec<_> = (0..TRIAL_SAMPLES).map(|_| next_codes(&mut client)).collect();
+    let trial = client.stop_trial().unwrap();
+    assert_eq!((trial.phase, trial.saturated), (TrialPhase::Stopped, 0));
+
+    // The same codes, summed up and solved here: every sample that was streamed since the first was offered to the trial.
+    // (The numbers may have gaps: on a busy machine, a transfer can take too long for the board.)
+    let offered = usize::try_from(trial.offered).unwrap();
+    streamed.retain(|frame| frame.index >= trial.first);
+    while streamed.len() < offered {
+        streamed.push(next_codes(&mut client));
+    }
+    client.stream(StreamKind::Off).unwrap();
+    assert_eq!(streamed[0].index, trial.first);
+    let taken = &streamed[..offered];
+    let codes = |frame: &CodesFrame| -> [AdcCode; GAGES] { frame.codes.as_slice().try_into().unwrap() };
+    let mut moments = Moments::<GAGES, { higher_moment_count(GAGES) }>::new(codes(&taken[0]));
+    for frame in taken {
+        moments.push(&codes(frame)).unwrap();
+    }
+    moments.settle();
+    let expected = solve_trial::<GAGES, _, 3>(&moments).unwrap();
+
+    let solution = client.solve_trial().unwrap();
+    assert_eq!(solution.samples, trial.used);
+    let shape = SMatrix::<f64, 3, GAGES>::from_row_slice(&solution.shape_counts_per_load);
+    // The same sums and the same steps: they differ by the rounding of square roots and the like, which the
+    // solution's condition amplifies.
+    let expected_gram = unoriented(&expected.shape_counts_per_load);
+    assert!((unoriented(&shape) - expected_gram).amax() <= 1e-9 * expected_gram.amax());
+    for (bias, expected) in solution.bias_counts.iter().zip(&expected.bias_counts) {
+        assert!((bias - expected).abs() <= 1e-9 * expected_gram.amax().sqrt());
+    }
+
+    // A load in another place, measured with the sensor's true calibration.
+    let upload = true_calibration(&scenario.sensor);
+    client.upload_calibration(&upload).unwrap();
+    bench.with(|bench| {
+        bench.hang(scenario.validation[0]);
+        bench.hold(UnitVector3::new_normalize(Vector3::new(1.0, 2.0, -3.0)));
+    });
+    client.stream(StreamKind::Wrench).unwrap();
+    let truth = bench.with(|bench| bench.true_wrench()).components(scenario.sensor.dof());
+    let matrix = scenario.sensor.shape().transpose().pseudo_inverse(1e-12).unwrap();
+    let noise = scenario.sensor.noise_counts();
+    // What was converted before the load hung there is on its way, at most the queue's length.
+    for _ in 0..100 {
+        client.next_frame(PATIENCE).unwrap();
+    }
+    for _ in 0..100 {
+        let Some(Frame::Wrench(sample)) = client.next_frame(PATIENCE).unwrap() else { panic!("no wrench") };
+        let Measured::Valid(wrench) = sample.measured else { panic!("{:?}", sample.measured) };
+        assert_eq!(wrench.calibration(), upload.identity);
+        for (row, component) in wrench.components().iter().enumerate() {
+            let deviation = matrix.row(row).transpose().component_mul(noise).norm();
+            // 600 comparisons with six standard deviations: one in a million fails.
+            assert!((f64::from(*component) - truth[row]).abs() <= 6.0 * deviation, "component {row}");
+        }
+    }
+    let status = client.status().unwrap();
+    assert_eq!((status.dropped_frames, status.broken_frames, client.broken_frames()), (0, 0, 0));
+}
+
+#[test]
+#[ignore = "needs the images and the emulator: tests/run provides both"]
+fn a_converter_that_is_missing_is_reported_and_found_again() {
+    let _alone = alone();
+    let bench = bench_of(&wrist());
+    bench.with(|bench| bench.inject(Fault::ConverterMissing));
+    let emulator = emulate(bench.clone());
+    let mut client = connect(&emulator);
+    wait_for(&mut client, AdcState::Faulty(AdcFault::NotResponding));
+    bench.with(Bench::clear_faults);
+    wait_for(&mut client, AdcState::Running);
+    bench.with(|bench| bench.inject(Fault::DataReadyLost { probability: 1.0 }));
+    wait_for(&mut client, AdcState::Faulty(AdcFault::DataReadyLost));
+}
+
+/// A host end that answers too late, always.
+struct Late;
+
+impl TunnelledConverter for Late {
+    fn exchange(&mut self, _from_board: &[u8], _to_board: &mut [u8]) {
+        thread::sleep(Duration::from_micros(2 * ANSWER_MICROS));
+    }
+
+    fn next_conversion(&mut self) -> bool {
+        true
+    }
+
+    fn now(&self) -> DeviceTime {
+        DeviceTime::default()
+    }
+}
+
+#[test]
+#[ignore = "needs the images and the emulator: tests/run provides both"]
+fn a_tunnel_that_does_not_answer_is_a_bus_fault() {
+    let _alone = alone();
+    let emulator = emulate(Late);
+    let mut client = connect(&emulator);
+    wait_for(&mut client, AdcState::Faulty(AdcFault::Bus));
+    client.hello().unwrap();
+}
+
+#[test]
+#[ignore = "needs the images and the emulator: tests/run provides both"]
+fn the_real_image_starts_and_says_that_its_bus_is_empty() {
+    let _alone = alone();
+    let converter = bench_of(&wrist());
+    let emulator = Emulator::start(&image("ftcal-stm32f405.elf"), converter, Pace::AsHandled).unwrap();
+    let mut client = connect(&emulator);
+    wait_for(&mut client, AdcState::Faulty(AdcFault::NotResponding));
+    assert_eq!(client.status().unwrap().conversions, 0);
+}
