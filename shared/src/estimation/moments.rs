@@ -172,13 +172,21 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
     /// [`Refusal::PivotsDiffer`], or [`Refusal::OverflowAhead`] where both together exceed [`MAX_SAMPLES`]; `self` is
     /// then left as it was.
     pub fn merge(&mut self, other: &Self) -> Result<(), Refusal> {
+        self.absorb(&mut other.clone())
+    }
+
+    /// The same with no copy made: `other` is settled, and keeps its sums.
+    ///
+    /// # Errors
+    ///
+    /// Those of [`Moments::merge`].
+    pub fn absorb(&mut self, other: &mut Self) -> Result<(), Refusal> {
         if self.pivot != other.pivot {
             return Err(Refusal::PivotsDiffer);
         }
         if self.count + other.count > MAX_SAMPLES {
             return Err(Refusal::OverflowAhead { samples: self.count + other.count });
         }
-        let mut other = other.clone();
         other.settle();
         self.settle();
         self.count += other.count;

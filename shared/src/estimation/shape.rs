@@ -2,13 +2,13 @@
 
 use nalgebra::{Cholesky, SMatrix, SVector};
 
-use super::basis::{Basis, basis, unsupported};
+use super::basis::{Basis, basis};
 use super::directions::DirectionMoments;
 use super::eigen::symmetric_eigen;
 use super::metric::metric;
 use super::moments::Moments;
 use super::projection::project;
-use super::uncertainty::{TrialUncertainty, predict};
+use super::uncertainty::{Regressors, TrialUncertainty, predict};
 use crate::refusal::Refusal;
 
 /// What one trial tells: the sensor's shape for a load at that trial's moment arm, in an arbitrary orientation.
@@ -25,6 +25,8 @@ pub struct TrialSolution<const GAGES: usize, const RANK: usize> {
     pub noise_variance: Option<f64>,
     /// Samples that took part.
     pub samples: u64,
+    /// Variance of |m|² that the noise does not explain.
+    pub unexplained: f64,
     /// Where the load has been, in the orientation of the shape.
     pub directions: DirectionMoments<RANK>,
     /// How well shape and bias are known.
@@ -45,21 +47,39 @@ pub const fn least_samples(rank: usize) -> u64 {
 pub fn solve_trial<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
     moments: &Moments<GAGES, HIGHER>,
 ) -> Result<TrialSolution<GAGES, RANK>, Refusal> {
-    if !(2..=3).contains(&RANK) {
-        return Err(unsupported::<GAGES, RANK>());
-    }
-    let samples = moments.count();
+    require_samples::<RANK>(moments.count())?;
+    let subspace = basis::<GAGES, RANK>(&moments.covariance(), moments.count())?;
+    solve_within(&subspace, moments, moments)
+}
+
+/// A trial of an unknown rank, or of too few samples, is refused.
+pub(crate) const fn require_samples<const RANK: usize>(samples: u64) -> Result<(), Refusal> {
     if samples < least_samples(RANK) {
         return Err(Refusal::TooFewSamples { have: samples, need: least_samples(RANK) });
     }
-    let Basis { vectors, eigenvalues, noise_variance } =
-        basis::<GAGES, RANK>(&moments.covariance(), samples)?;
+    Ok(())
+}
+
+/// Solves one trial within the subspace that `all` of its samples have given; the metric constraint is taken from the
+/// `quiet` ones among them. Both are settled.
+///
+/// # Errors
+///
+/// [`Refusal::TooFewSamples`], and every refusal of [`metric`].
+pub(crate) fn solve_within<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
+    subspace: &Basis<GAGES, RANK>,
+    all: &Moments<GAGES, HIGHER>,
+    quiet: &Moments<GAGES, HIGHER>,
+) -> Result<TrialSolution<GAGES, RANK>, Refusal> {
+    let samples = quiet.count();
+    require_samples::<RANK>(samples)?;
+    let &Basis { vectors, eigenvalues, noise_variance } = subspace;
 
     let variances = eigenvalues.fixed_rows::<RANK>(0).into_owned();
     let deviations = variances.map(libm::sqrt);
     let whitening = SMatrix::<f64, RANK, RANK>::from_diagonal(&deviations.map(|deviation| 1.0 / deviation));
     let whitened_noise = variances.map(|variance| noise_variance.unwrap_or(0.0) / variance);
-    let whitened = project(moments, &vectors).transformed(&whitening);
+    let whitened = project(quiet, &vectors).transformed(&whitening);
     let metric = metric(&whitened, &whitened_noise, samples)?;
 
     // M = LLᵀ makes m = Lᵀ(x − c) a unit vector, so z = b + V*Λ^½L⁻ᵀm: A = L⁻¹ in eq. 11, with Ŝ = Λ^½V*ᵀ.
@@ -71,13 +91,25 @@ pub fn solve_trial<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
     let principal = symmetric_eigen(&(shape * shape.transpose()))?;
     let orientation = principal.vectors.transpose();
     let shape_counts_per_load = orientation * shape;
-    let bias_counts = moments.mean_counts() + indeterminate_shape.transpose() * metric.centre;
+    // Across the subspace there is but the bias, and every sample tells it.
+    let quiet_from_all = vectors.transpose() * (quiet.mean_difference() - all.mean_difference());
+    let bias_counts =
+        all.mean_counts() + vectors * quiet_from_all + indeterminate_shape.transpose() * metric.centre;
 
     let to_direction = orientation * factor.l().transpose();
     let central = whitened.without_noise(&whitened_noise).transformed(&to_direction);
     let directions = DirectionMoments::new(to_direction * -metric.centre, &central);
+    let mean_of_all = to_direction * (-metric.centre - whitening * quiet_from_all);
+    let free_of_noise = SMatrix::<f64, RANK, RANK>::identity() - SMatrix::from_diagonal(&whitened_noise);
+    let regressors = Regressors {
+        mean: mean_of_all,
+        second: to_direction * free_of_noise * to_direction.transpose()
+            + mean_of_all * mean_of_all.transpose(),
+        samples: all.count(),
+    };
+    let noise = noise_variance.unwrap_or(0.0);
     let uncertainty =
-        predict(&directions, &principal.values, noise_variance.unwrap_or(0.0), metric.unexplained, samples)?;
+        predict(&directions, &regressors, &principal.values, noise, metric.unexplained, samples)?;
 
     if shape_counts_per_load.iter().chain(bias_counts.iter()).any(|element| !element.is_finite()) {
         return Err(Refusal::NonFinite);
@@ -88,6 +120,7 @@ pub fn solve_trial<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
         eigenvalues,
         noise_variance,
         samples,
+        unexplained: metric.unexplained,
         directions,
         uncertainty,
     })

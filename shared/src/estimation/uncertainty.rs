@@ -29,7 +29,19 @@ pub struct TrialUncertainty<const RANK: usize> {
     across: SMatrix<f64, REGRESSORS, REGRESSORS>,
 }
 
-/// Predicts the uncertainty of a trial of `samples` samples.
+/// Where the load has been in all samples, whose magnitude may have been disturbed: what the regression across the shape
+/// stands on.
+#[derive(Clone, Debug)]
+pub struct Regressors<const RANK: usize> {
+    /// ⟨m⟩.
+    pub mean: SVector<f64, RANK>,
+    /// ⟨mmᵀ⟩.
+    pub second: SMatrix<f64, RANK, RANK>,
+    /// Number of samples.
+    pub samples: u64,
+}
+
+/// Predicts the uncertainty of a trial whose metric was taken from `samples` samples.
 ///
 /// `directions` are the moments of m in the orientation in which SSᵀ = diag(`gains_squared`), counts²; `noise_variance` is that of
 /// one channel, counts² (zero where it is not known: it is then part of `unexplained`), and `unexplained` the variance of
@@ -40,6 +52,7 @@ pub struct TrialUncertainty<const RANK: usize> {
 /// [`Refusal::MotionDoesNotSpan`] where the directions do not determine the answer.
 pub fn predict<const RANK: usize>(
     directions: &DirectionMoments<RANK>,
+    regressors: &Regressors<RANK>,
     gains_squared: &SVector<f64, RANK>,
     noise_variance: f64,
     unexplained: f64,
@@ -66,13 +79,13 @@ pub fn predict<const RANK: usize>(
     let mut regression = SMatrix::<f64, REGRESSORS, REGRESSORS>::identity();
     for a in 0..RANK {
         for b in 0..RANK {
-            regression[(a, b)] = directions.higher.second[a][b];
+            regression[(a, b)] = regressors.second[(a, b)];
         }
-        regression[(a, REGRESSORS - 1)] = directions.first[a];
-        regression[(REGRESSORS - 1, a)] = directions.first[a];
+        regression[(a, REGRESSORS - 1)] = regressors.mean[a];
+        regression[(REGRESSORS - 1, a)] = regressors.mean[a];
     }
-    let across =
-        Cholesky::new(regression).ok_or(undetermined)?.inverse() * (noise_variance / samples.max(1) as f64);
+    let across = Cholesky::new(regression).ok_or(undetermined)?.inverse()
+        * (noise_variance / regressors.samples.max(1) as f64);
     if along.iter().chain(across.iter()).all(|element| element.is_finite()) {
         Ok(TrialUncertainty { along, across })
     } else {

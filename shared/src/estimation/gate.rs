@@ -1,0 +1,284 @@
+//! The gate before the sums: which samples are measurements at all, and how quiet the load was at each (design § 5).
+//!
+//! A sample is **rejected** where it is no measurement: a channel stands at an end of its range, or the converter repeats
+//! itself. Every other sample is **classed** by quietness, not judged: how much a moving sample is worth is known only when the
+//! trial is solved ([`super::bins`]).
+//!
+//! # Quietness
+//!
+//! Samples are taken in blocks of four, and a block is classed by the [`REACH`] blocks to each side of it, so that it comes
+//! out `REACH` blocks late. With white noise of variance σ² in each of p channels, sums s of four samples give
+//!
+//! | measure of block k | from noise alone | answers to |
+//! |---|---|---|
+//! | change: ‖sₖ − sₖ₋₁‖² + ‖sₖ₊₁ − sₖ‖² | 16σ²p | swinging, tremor, fast turning |
+//! | travel: ‖sₖ₊ᵣ − sₖ₋ᵣ‖², r = `REACH` | 8σ²p | slow turning |
+//! | curvature: the squared second differences inside of blocks k−1, k, k+1 | 36σ²p | noise, hardly turning |
+//!
+//! The noise is the curvature that a tenth of all blocks stays below: at rest where the load rested at all. A block is **still**
+//! where change and travel together are no more than three times that. Of all others, the calmer half by change is **slow**
+//! and the rest **fast**: where a load never rests, its quieter half is at hand. Both levels are tracked as the samples
+//! come, in single precision, and depend on nothing but the codes: sensor and host class alike, to the last bit.
+//!
+//! # Repetition
+//!
+//! A converter that hangs repeats its last codes. A coarse one repeats itself rightly: so a repetition is suspicious only where
+//! the noise stands above the resolution, which is the smallest change of any code seen so far. With σ ≥ 2 steps a channel
+//! repeats itself once in seven samples, and all of two or more channels five times running in 10⁻⁸ of cases.
+//!
+//! # Limits
+//!
+//! All is counted in samples. At rates so high that the load moves by less than the noise in 36 samples, everything is still,
+//! and a trial is what it would be with no gate.
+
+use crate::units::AdcCode;
+
+/// Samples in a block.
+const BLOCK: usize = 4;
+
+/// Blocks to each side of a block by which it is classed.
+const REACH: u32 = 4;
+
+/// Blocks kept.
+const WINDOW: usize = 2 * REACH as usize + 1;
+
+/// Identical samples in a row, after the first, that are still taken.
+const ALLOWED_REPEATS: u32 = 4;
+
+/// Curvature of noise alone, for each channel, in units of its variance: three blocks of two second differences of 6σ².
+const CURVATURE_OF_NOISE: f32 = 36.0;
+
+/// The curvature that a tenth of all blocks stays below, over its mean: about 0.6 for 3 to 8 channels.
+const LOW_TENTH: f32 = 0.6;
+
+/// Change and travel of a still block over the noise level, 0.6·36σ²p: their mean is 24σ²p, and 65σ²p leaves room for chance.
+const STILL: f32 = 3.0;
+
+/// Steps of the level that a tenth of all blocks stays below: ln 0.9 = −9·ln 1.0117.
+const NOISE_DOWN: f32 = 0.9;
+const NOISE_UP: f32 = 1.0117;
+
+/// The least relative step of the level that halves the moving blocks. It begins at one and falls with their number.
+const LEAST_STEP: f32 = 0.05;
+
+/// Noise of two steps of the codes, variance in steps²: above it no converter repeats itself.
+const UNREPEATABLE: f32 = 4.0;
+
+/// How quiet the load was.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Quietness {
+    /// Nothing moved but by noise.
+    Still,
+    /// The calmer half of what moved.
+    Slow,
+    /// The other half.
+    Fast,
+}
+
+impl Quietness {
+    /// All classes, quietest first.
+    pub const ALL: [Self; 3] = [Self::Still, Self::Slow, Self::Fast];
+}
+
+/// What became of a sample.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// It is a measurement, and will be classed.
+    Accepted,
+    /// A channel stood at an end of its range.
+    Saturated,
+    /// The converter repeats itself.
+    Repeated,
+}
+
+/// The gate of one trial, over `GAGES` channels.
+#[derive(Clone, Debug)]
+pub struct Gate<const GAGES: usize> {
+    last: Option<[AdcCode; GAGES]>,
+    /// Identical samples in a row, after the first.
+    repeats: u32,
+    /// The smallest change of any code, counts; zero until there is one.
+    step: i32,
+    /// The last blocks, by number modulo `WINDOW`; the one after the last complete one is being filled.
+    blocks: [Block<GAGES>; WINDOW],
+    complete: u32,
+    filled: usize,
+    /// The curvature that a tenth of all blocks stays below, counts²; zero until there is one.
+    noise: f32,
+    /// The change that half of the moving blocks stay below, counts²; zero until there is one.
+    usual_change: f32,
+    /// Moving blocks so far.
+    moving: u32,
+    /// Class of the last block that was classed.
+    latest: Quietness,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Block<const GAGES: usize> {
+    codes: [[AdcCode; GAGES]; BLOCK],
+    sum: [i32; GAGES],
+    curvature: f32,
+}
+
+impl<const GAGES: usize> Block<GAGES> {
+    const EMPTY: Self = Self { codes: [[AdcCode::ZERO; GAGES]; BLOCK], sum: [0; GAGES], curvature: 0.0 };
+
+    /// Sums up the full block.
+    fn complete(&mut self) {
+        let [a, b, c, d] = &self.codes;
+        self.curvature = 0.0;
+        for gage in 0..GAGES {
+            let [a, b, c, d] = [a, b, c, d].map(|codes| codes[gage].counts());
+            self.sum[gage] = (a + b) + (c + d);
+            let (early, late) = ((a - 2 * b + c) as f32, (b - 2 * c + d) as f32);
+            self.curvature += early * early + late * late;
+        }
+    }
+
+    /// ‖s − s'‖², counts².
+    fn distance(&self, other: &Self) -> f32 {
+        let mut total = 0.0;
+        for gage in 0..GAGES {
+            let difference = (self.sum[gage] - other.sum[gage]) as f32;
+            total += difference * difference;
+        }
+        total
+    }
+}
+
+impl<const GAGES: usize> Default for Gate<GAGES> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl<const GAGES: usize> Gate<GAGES> {
+    /// A gate that has seen nothing.
+    pub const fn new() -> Self {
+        Self {
+            last: None,
+            repeats: 0,
+            step: 0,
+            blocks: [Block::EMPTY; WINDOW],
+            complete: 0,
+            filled: 0,
+            noise: 0.0,
+            usual_change: 0.0,
+            moving: 0,
+            latest: Quietness::Fast,
+        }
+    }
+
+    /// Takes in one sample; `take` gets the earlier samples that are classed by it, in their order.
+    pub fn offer(
+        &mut self,
+        codes: &[AdcCode; GAGES],
+        take: &mut impl FnMut(Quietness, &[AdcCode; GAGES]),
+    ) -> Verdict {
+        if codes.iter().any(|code| code.is_saturated()) {
+            return Verdict::Saturated;
+        }
+        if self.is_suspicious_repetition(codes) {
+            return Verdict::Repeated;
+        }
+        let block = &mut self.blocks[self.complete as usize % WINDOW];
+        block.codes[self.filled] = *codes;
+        self.filled += 1;
+        if self.filled == BLOCK {
+            block.complete();
+            self.filled = 0;
+            let newest = self.complete;
+            self.complete = self.complete.wrapping_add(1);
+            if let Some(number) = newest.checked_sub(REACH) {
+                self.release(number, newest, take);
+            }
+        }
+        Verdict::Accepted
+    }
+
+    /// Hands out the samples that still wait, classed by what there is, and forgets them.
+    pub fn finish(&mut self, take: &mut impl FnMut(Quietness, &[AdcCode; GAGES])) {
+        if let Some(newest) = self.complete.checked_sub(1) {
+            for number in (newest + 1).saturating_sub(REACH)..=newest {
+                self.release(number, newest, take);
+            }
+        }
+        // Too few for a block: they go with the block before.
+        let rest = &self.blocks[self.complete as usize % WINDOW].codes[..self.filled];
+        for codes in rest {
+            take(self.latest, codes);
+        }
+        *self = Self::new();
+    }
+
+    fn is_suspicious_repetition(&mut self, codes: &[AdcCode; GAGES]) -> bool {
+        let Some(last) = self.last.replace(*codes) else { return false };
+        let mut changed = false;
+        for gage in 0..GAGES {
+            let change = (codes[gage].counts() - last[gage].counts()).abs();
+            if change != 0 {
+                changed = true;
+                if self.step == 0 || change < self.step {
+                    self.step = change;
+                }
+            }
+        }
+        if changed {
+            self.repeats = 0;
+            return false;
+        }
+        self.repeats = self.repeats.saturating_add(1);
+        self.repeats > ALLOWED_REPEATS && self.noise > 0.0 && self.noise >= self.noise_level(UNREPEATABLE)
+    }
+
+    /// The noise level that noise of this variance gives, in steps of the codes.
+    fn noise_level(&self, variance: f32) -> f32 {
+        let step = self.step as f32;
+        LOW_TENTH * CURVATURE_OF_NOISE * GAGES as f32 * variance * step * step
+    }
+
+    /// Classes block `number` and hands out its samples.
+    fn release(&mut self, number: u32, newest: u32, take: &mut impl FnMut(Quietness, &[AdcCode; GAGES])) {
+        self.latest = self.class(number, newest);
+        for codes in &self.blocks[number as usize % WINDOW].codes {
+            take(self.latest, codes);
+        }
+    }
+
+    fn class(&mut self, number: u32, newest: u32) -> Quietness {
+        let block = |number: u32| &self.blocks[number as usize % WINDOW];
+        let (here, before, after) =
+            (block(number), block(number.saturating_sub(1)), block((number + 1).min(newest)));
+        let change = here.distance(before) + after.distance(here);
+        let travel = block((number + REACH).min(newest)).distance(block(number.saturating_sub(REACH)));
+        self.follow_noise(before.curvature + here.curvature + after.curvature);
+        if change + travel <= STILL * self.noise.max(self.noise_level(1.0 / 12.0)) {
+            Quietness::Still
+        } else if self.is_calmer_half(change) {
+            Quietness::Slow
+        } else {
+            Quietness::Fast
+        }
+    }
+
+    fn follow_noise(&mut self, curvature: f32) {
+        if self.noise <= 0.0 {
+            // Of a converter that hangs from the first sample on, nothing is learnt.
+            self.noise = curvature;
+            return;
+        }
+        self.noise *= if curvature < self.noise { NOISE_DOWN } else { NOISE_UP };
+        self.noise = self.noise.max(self.noise_level(1.0 / 12.0));
+    }
+
+    fn is_calmer_half(&mut self, change: f32) -> bool {
+        if self.moving == 0 {
+            self.usual_change = change;
+        }
+        self.moving = self.moving.saturating_add(1);
+        let step = (1.0 / (1.0 + self.moving as f32)).max(LEAST_STEP);
+        let calmer = change <= self.usual_change;
+        self.usual_change *= if calmer { 1.0 - step / 2.0 } else { 1.0 + step / 2.0 };
+        calmer
+    }
+}

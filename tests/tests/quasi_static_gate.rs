@@ -1,0 +1,222 @@
+//! The quasi-static gate: what it makes of a hand that rests a fifth of the time, of one that disturbs the load while it
+//! moves, and of converters that repeat themselves.
+
+use ftcal_shared::estimation::bins::{Bins, QuietSolution};
+use ftcal_shared::estimation::gate::{Quietness, Verdict};
+use ftcal_shared::estimation::moments::higher_moment_count;
+use ftcal_shared::units::AdcCode;
+use ftcal_tests::{KnownSensor, random};
+use nalgebra::{SMatrix, Vector3};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Normal, StandardNormal, UnitSphere};
+
+const GAGES: usize = 8;
+const HIGHER: usize = higher_moment_count(GAGES);
+type Codes = [AdcCode; GAGES];
+
+/// Signal of the sensor, counts per unit load, and its noise.
+const SIGNAL: f64 = 1e5;
+const NOISE: f64 = 100.0;
+
+/// Samples of a turn, and of the rest that follows it: at 250 samples a second, 1.2 s and 0.3 s.
+const TURN: u32 = 300;
+const REST: u32 = 75;
+const TURNS: u32 = 27;
+
+const SEEDS: u64 = 60;
+
+/// One sample of the motion: where the load pulls, and whether it moves.
+struct Pose {
+    direction: Vector3<f64>,
+    moving: bool,
+}
+
+/// A hand that turns from one random direction to the next with the minimum-jerk profile, and rests at each.
+fn hand(rng: &mut ChaCha8Rng) -> Vec<Pose> {
+    let mut poses = Vec::new();
+    let mut random_direction = || Vector3::from(UnitSphere.sample(rng));
+    let mut from = random_direction();
+    for _ in 0..TURNS {
+        let to: Vector3<f64> = random_direction();
+        for sample in 0..TURN {
+            let t = f64::from(sample) / f64::from(TURN);
+            let way = t * t * t * (10.0 - 15.0 * t + 6.0 * t * t);
+            poses.push(Pose { direction: from.slerp(&to, way), moving: true });
+        }
+        poses.extend((0..REST).map(|_| Pose { direction: to, moving: false }));
+        from = to;
+    }
+    poses
+}
+
+/// The codes of a motion; while it moves, the magnitude wanders by `disturbance`, each time for about a tenth of a second.
+fn codes(
+    sensor: &KnownSensor<GAGES, 3>,
+    poses: &[Pose],
+    disturbance: f64,
+    rng: &mut ChaCha8Rng,
+) -> Vec<Codes> {
+    const MEMORY: f64 = 0.96;
+    let noise = Normal::new(0.0, sensor.noise).unwrap();
+    let mut wander = 0.0;
+    poses
+        .iter()
+        .map(|pose| {
+            let step: f64 = StandardNormal.sample(rng);
+            wander = MEMORY * wander + (1.0 - MEMORY * MEMORY).sqrt() * step;
+            let magnitude = if pose.moving { 1.0 + disturbance * wander } else { 1.0 };
+            let exact = sensor.bias + sensor.shape.transpose() * pose.direction * magnitude;
+            core::array::from_fn(|gage| {
+                #[expect(clippy::cast_possible_truncation, reason = "rounded to whole counts")]
+                AdcCode::saturating((exact[gage] + noise.sample(rng)).round() as i64)
+            })
+        })
+        .collect()
+}
+
+fn bins_of(codes: &[Codes], gated: bool) -> Box<Bins<GAGES, HIGHER>> {
+    let mut bins = Box::new(Bins::new());
+    bins.restart(codes[0]);
+    for codes in codes {
+        if gated { bins.offer(codes) } else { bins.offer_ungated(codes) }.unwrap();
+    }
+    bins.finish().unwrap();
+    bins
+}
+
+fn solve(codes: &[Codes], gated: bool) -> QuietSolution<GAGES, 3> {
+    bins_of(codes, gated).solve().unwrap()
+}
+
+/// Error of SᵀS, which has no orientation, relative.
+fn error(sensor: &KnownSensor<GAGES, 3>, solved: &QuietSolution<GAGES, 3>) -> f64 {
+    let gram = |shape: &SMatrix<f64, 3, GAGES>| shape.transpose() * shape;
+    let truth = gram(&sensor.shape);
+    (gram(&solved.solution.shape_counts_per_load) - truth).norm() / truth.norm()
+}
+
+fn median(mut numbers: Vec<f64>) -> f64 {
+    numbers.sort_by(f64::total_cmp);
+    numbers[numbers.len() / 2]
+}
+
+struct Errors {
+    undisturbed: f64,
+    undisturbed_gated: f64,
+    disturbed: f64,
+    disturbed_gated: f64,
+}
+
+fn errors(disturbance: f64) -> Errors {
+    let (mut undisturbed, mut undisturbed_gated, mut disturbed, mut disturbed_gated) =
+        (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    for seed in 0..SEEDS {
+        let mut rng = random(seed);
+        let sensor = KnownSensor::<GAGES, 3>::random(&mut rng, SIGNAL, NOISE);
+        let poses = hand(&mut rng);
+        let clean = codes(&sensor, &poses, 0.0, &mut rng.clone());
+        let shaken = codes(&sensor, &poses, disturbance, &mut rng);
+        undisturbed.push(error(&sensor, &solve(&clean, false)));
+        undisturbed_gated.push(error(&sensor, &solve(&clean, true)));
+        disturbed.push(error(&sensor, &solve(&shaken, false)));
+        disturbed_gated.push(error(&sensor, &solve(&shaken, true)));
+    }
+    Errors {
+        undisturbed: median(undisturbed),
+        undisturbed_gated: median(undisturbed_gated),
+        disturbed: median(disturbed),
+        disturbed_gated: median(disturbed_gated),
+    }
+}
+
+#[test]
+fn a_disturbed_motion_is_worth_its_rests_and_an_undisturbed_one_all_of_itself() {
+    let errors = errors(0.02);
+    let Errors { undisturbed, undisturbed_gated, disturbed, disturbed_gated } = errors;
+    eprintln!(
+        "clean {undisturbed:.2e}, gated {undisturbed_gated:.2e}; disturbed {disturbed:.2e}, gated {disturbed_gated:.2e}"
+    );
+    assert!(undisturbed_gated <= 1.2 * undisturbed, "{undisturbed_gated} for {undisturbed}");
+    assert!(disturbed_gated <= 1.5 * undisturbed, "{disturbed_gated} for {undisturbed}");
+}
+
+#[test]
+fn rests_are_told_from_turns() {
+    let mut rng = random(7);
+    let sensor = KnownSensor::<GAGES, 3>::random(&mut rng, SIGNAL, NOISE);
+    let poses = hand(&mut rng);
+    let shaken = codes(&sensor, &poses, 0.02, &mut rng);
+    let solved = solve(&shaken, true);
+    let resting = poses.iter().filter(|pose| !pose.moving).count() as f64;
+    assert_eq!(solved.up_to, Quietness::Still);
+    let share = solved.solution.samples as f64 / resting;
+    eprintln!("still: {share} of the rests");
+    // A rest is blurred by 18 samples at either end, and the slow ends of each turn count as rest.
+    assert!((0.5..1.5).contains(&share), "{share}");
+}
+
+#[test]
+fn a_slow_dense_motion_passes() {
+    let mut rng = random(11);
+    let sensor = KnownSensor::<GAGES, 3>::random(&mut rng, SIGNAL, NOISE);
+    let spiral: Vec<Pose> = (0..8000)
+        .map(|sample| {
+            let height = f64::from(sample) / 4000.0 - 1.0;
+            let (sine, cosine) = (f64::from(sample) * 0.01).sin_cos();
+            let radius = (1.0 - height * height).sqrt();
+            Pose { direction: Vector3::new(radius * cosine, radius * sine, height), moving: true }
+        })
+        .collect();
+    let solved = solve(&codes(&sensor, &spiral, 0.0, &mut rng), true);
+    assert_eq!(solved.solution.samples, 8000);
+}
+
+/// What became of the samples: accepted, saturated, repeated.
+fn verdicts(codes: impl IntoIterator<Item = Codes>) -> [usize; 3] {
+    let mut bins = Box::new(Bins::<GAGES, HIGHER>::new());
+    let mut counts = [0; 3];
+    for codes in codes {
+        match bins.offer(&codes).unwrap() {
+            Verdict::Accepted => counts[0] += 1,
+            Verdict::Saturated => counts[1] += 1,
+            Verdict::Repeated => counts[2] += 1,
+        }
+    }
+    counts
+}
+
+#[test]
+fn a_converter_that_hangs_is_noticed_and_a_coarse_one_is_left_alone() {
+    for seed in 0..10 {
+        let mut rng = random(100 + seed);
+        let fine = KnownSensor::<GAGES, 3>::random(&mut rng, SIGNAL, NOISE);
+        let poses = hand(&mut rng);
+        let mut hanging = codes(&fine, &poses, 0.0, &mut rng);
+        let from = rng.random_range(1000..5000);
+        let stuck = hanging[from];
+        hanging[from..from + 500].fill(stuck);
+        // Four repetitions of 499 pass.
+        assert_eq!(verdicts(hanging), [poses.len() - 495, 0, 495]);
+
+        // The same sensor behind a converter whose steps are ten times the noise: at rest it repeats itself for good.
+        let steps =
+            |codes: Codes| codes.map(|code| AdcCode::saturating(i64::from(code.counts() / 1000 * 1000)));
+        let coarse = codes(&fine, &poses, 0.0, &mut rng).into_iter().map(steps);
+        assert_eq!(verdicts(coarse), [poses.len(), 0, 0]);
+    }
+}
+
+#[test]
+fn the_zero_of_the_codes_is_of_no_account() {
+    let mut rng = random(3);
+    let sensor = KnownSensor::<GAGES, 3>::random(&mut rng, SIGNAL, NOISE);
+    let shaken = codes(&sensor, &hand(&mut rng), 0.02, &mut rng);
+    let shifted: Vec<Codes> = shaken
+        .iter()
+        .map(|codes| codes.map(|code| AdcCode::saturating(i64::from(code.counts()) + 1_000_000)))
+        .collect();
+    let (here, there) = (solve(&shaken, true), solve(&shifted, true));
+    assert_eq!(here.up_to, there.up_to);
+    assert_eq!(here.solution.shape_counts_per_load, there.solution.shape_counts_per_load);
+}
