@@ -40,8 +40,8 @@ mod app {
     use ftcal_firmware::sensor::{LinkCounters, Reaction, Sensor, StreamFrame};
     use ftcal_firmware::session::{Session, hello};
     use ftcal_firmware::trial::SolveJob;
-    use ftcal_shared::estimation::moments::{Moments, higher_moment_count};
-    use ftcal_shared::units::AdcCode;
+    use ftcal_shared::estimation::bins::Bins;
+    use ftcal_shared::estimation::moments::higher_moment_count;
     use ftcal_shared::wire::{Request, RequestId, Response, ToDevice, ToHost};
     use heapless::spsc::{Consumer, Producer, Queue};
     use rtic::Mutex;
@@ -59,7 +59,7 @@ mod app {
     /// Stream frames that wait for the line: at 1000 samples a second, 60 ms.
     const FRAME_QUEUE: usize = 64;
 
-    type Store = &'static mut Moments<GAGES, HIGHER>;
+    type Store = &'static mut Bins<GAGES, HIGHER>;
     type Job = SolveJob<Store, GAGES, HIGHER>;
 
     #[shared]
@@ -91,7 +91,7 @@ mod app {
     }
 
     #[init(local = [
-        store: Moments<GAGES, HIGHER> = Moments::new([AdcCode::ZERO; GAGES]),
+        store: Bins<GAGES, HIGHER> = Bins::new(),
         received: Queue<u8, LINK_QUEUE> = Queue::new(),
         to_send: Queue<u8, LINK_QUEUE> = Queue::new(),
         frames: Queue<StreamFrame, FRAME_QUEUE> = Queue::new(),

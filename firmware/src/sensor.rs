@@ -5,7 +5,7 @@ use core::ops::DerefMut;
 use embedded_hal::delay::DelayNs;
 use embedded_hal::spi::SpiDevice;
 use ftcal_shared::estimation::application::{RealTimeCalibration, UnusableCalibration};
-use ftcal_shared::estimation::moments::Moments;
+use ftcal_shared::estimation::bins::Bins;
 use ftcal_shared::fault::AdcFault;
 use ftcal_shared::units::{AdcCode, DeviceTime};
 use ftcal_shared::wire::{
@@ -70,7 +70,7 @@ struct LoadedCalibration<const GAGES: usize> {
 impl<Spi, Store, const GAGES: usize, const HIGHER: usize> Sensor<Spi, Store, GAGES, HIGHER>
 where
     Spi: SpiDevice<u8>,
-    Store: DerefMut<Target = Moments<GAGES, HIGHER>>,
+    Store: DerefMut<Target = Bins<GAGES, HIGHER>>,
 {
     /// An uncalibrated sensor whose converter the first [`Sensor::tick`] starts.
     pub fn new(spi: Spi, store: Store, clock: ClockSource) -> Self {

@@ -1,4 +1,5 @@
-//! A trial: one load at one constant arm, turned at random, summed up sample by sample and then solved (paper, figure 2).
+//! A trial: one load at one constant arm, turned at random, gated and summed up sample by sample and then solved (paper,
+//! figure 2, design § 5).
 //!
 //! The sums are large, so a trial owns them through a handle (`Store`: a static reference on the board, a box in the
 //! simulator). A [`SolveJob`] takes the handle out of the trial: the solution is computed with no hold on the sample
@@ -6,8 +7,9 @@
 
 use core::ops::DerefMut;
 
-use ftcal_shared::estimation::moments::Moments;
-use ftcal_shared::estimation::shape::{TrialSolution, solve_trial};
+use ftcal_shared::estimation::bins::Bins;
+use ftcal_shared::estimation::gate::Verdict;
+use ftcal_shared::estimation::shape::TrialSolution;
 use ftcal_shared::refusal::Refusal;
 use ftcal_shared::units::{AdcCode, SampleIndex};
 use ftcal_shared::wire::{GageList, Rejection, Solution, TrialPhase, TrialStatus};
@@ -21,7 +23,11 @@ pub struct Trial<Store, const GAGES: usize, const HIGHER: usize> {
     rank: u8,
     /// Samples rejected because a channel stood at the end of its range.
     saturated: u32,
-    used: u32,
+    /// Samples rejected because the converter repeats itself.
+    repeated: u32,
+    /// Samples that were taken in, but that the solution leaves out because the load moved too much.
+    moving: u32,
+    taken: u32,
     offered: u32,
     first: SampleIndex,
 }
@@ -31,12 +37,14 @@ pub struct Trial<Store, const GAGES: usize, const HIGHER: usize> {
 pub struct SolveJob<Store, const GAGES: usize, const HIGHER: usize> {
     store: Store,
     rank: u8,
+    taken: u32,
     saturated: u32,
+    moving: u32,
 }
 
 impl<Store, const GAGES: usize, const HIGHER: usize> Trial<Store, GAGES, HIGHER>
 where
-    Store: DerefMut<Target = Moments<GAGES, HIGHER>>,
+    Store: DerefMut<Target = Bins<GAGES, HIGHER>>,
 {
     /// No trial yet, with room for one.
     pub const fn new(store: Store) -> Self {
@@ -45,7 +53,9 @@ where
             phase: TrialPhase::None,
             rank: 0,
             saturated: 0,
-            used: 0,
+            repeated: 0,
+            moving: 0,
+            taken: 0,
             offered: 0,
             first: SampleIndex::new(0),
         }
@@ -56,10 +66,12 @@ where
         TrialStatus {
             phase: self.phase,
             rank: self.rank,
-            used: self.used,
+            used: self.taken.saturating_sub(self.moving),
             saturated: self.saturated,
             first: self.first,
             offered: self.offered,
+            repeated: self.repeated,
+            moving: self.moving,
         }
     }
 
@@ -73,9 +85,12 @@ where
         if !(2..=3).contains(&rank) || usize::from(rank) > GAGES {
             return Err(Rejection::UnsupportedRank);
         }
+        self.store.as_mut().ok_or(Rejection::TrialBusy)?.restart();
         self.rank = rank;
         self.saturated = 0;
-        self.used = 0;
+        self.repeated = 0;
+        self.moving = 0;
+        self.taken = 0;
         self.offered = 0;
         self.phase = TrialPhase::Running;
         Ok(())
@@ -93,30 +108,27 @@ where
         }
     }
 
-    /// Takes in one sample while the trial runs. A sample with a channel at the end of its range is counted, not used:
-    /// its code is no measurement.
+    /// Takes in one sample while the trial runs. A sample that is no measurement is counted, not used.
     pub fn offer(&mut self, index: SampleIndex, codes: &[AdcCode; GAGES]) {
         if self.phase != TrialPhase::Running {
             return;
         }
-        let Some(moments) = self.store.as_mut() else { return };
+        let Some(bins) = self.store.as_mut() else { return };
         if self.offered == 0 {
             self.first = index;
         }
         self.offered = self.offered.saturating_add(1);
-        if codes.iter().any(|code| code.is_saturated()) {
-            self.saturated = self.saturated.saturating_add(1);
-            return;
-        }
-        if self.used == 0 {
-            // The first sample is the pivot, which takes the offset out of all sums.
-            moments.restart(*codes);
-        }
-        match moments.push(codes) {
-            Ok(()) => self.used = self.used.saturating_add(1),
+        let counter = match bins.offer(codes) {
+            Ok(Verdict::Accepted) => &mut self.taken,
+            Ok(Verdict::Saturated) => &mut self.saturated,
+            Ok(Verdict::Repeated) => &mut self.repeated,
             // The sums are as full as they may get: what they hold stays good.
-            Err(_) => self.phase = TrialPhase::Stopped,
-        }
+            Err(_) => {
+                self.phase = TrialPhase::Stopped;
+                return;
+            }
+        };
+        *counter = counter.saturating_add(1);
     }
 
     /// Stops the trial; stopping a stopped trial changes nothing, so that the request may be repeated.
@@ -145,13 +157,15 @@ where
             TrialPhase::None => Err(Rejection::NoTrial),
             TrialPhase::Running | TrialPhase::Solving => Err(Rejection::TrialBusy),
             TrialPhase::Stopped => {
-                let mut store = self.store.take().ok_or(Rejection::TrialBusy)?;
-                if self.used == 0 {
-                    // Nothing was taken in: the sums of the trial before must not be solved in its place.
-                    store.restart([AdcCode::ZERO; GAGES]);
-                }
+                let store = self.store.take().ok_or(Rejection::TrialBusy)?;
                 self.phase = TrialPhase::Solving;
-                Ok(SolveJob { store, rank: self.rank, saturated: self.saturated })
+                Ok(SolveJob {
+                    store,
+                    rank: self.rank,
+                    taken: self.taken,
+                    saturated: self.saturated,
+                    moving: 0,
+                })
             }
         }
     }
@@ -159,25 +173,29 @@ where
     /// Takes back what [`Trial::take_for_solving`] handed out; the trial may be solved again.
     pub fn finish(&mut self, job: SolveJob<Store, GAGES, HIGHER>) {
         self.store = Some(job.store);
+        self.moving = job.moving;
         self.phase = TrialPhase::Stopped;
     }
 }
 
 impl<Store, const GAGES: usize, const HIGHER: usize> SolveJob<Store, GAGES, HIGHER>
 where
-    Store: DerefMut<Target = Moments<GAGES, HIGHER>>,
+    Store: DerefMut<Target = Bins<GAGES, HIGHER>>,
 {
     /// Solves the trial. Takes millions of instructions: not for the sample path.
     ///
     /// # Errors
     ///
-    /// Every refusal of [`solve_trial`]; [`Refusal::Saturated`] where saturation has left too few samples.
+    /// Every refusal of [`Bins::solve`]; [`Refusal::Saturated`] where saturation has left too few samples.
     pub fn solve(&mut self) -> Result<Solution, Refusal> {
-        self.store.settle();
-        let solution = match self.rank {
-            2 => solve_trial::<GAGES, HIGHER, 2>(&self.store).and_then(|solved| on_the_wire(&solved)),
-            _ => solve_trial::<GAGES, HIGHER, 3>(&self.store).and_then(|solved| on_the_wire(&solved)),
+        let solution = match self.store.finish() {
+            Err(refusal) => Err(refusal),
+            Ok(()) if self.rank == 2 => {
+                self.store.solve::<2>().and_then(|quiet| on_the_wire(&quiet.solution))
+            }
+            Ok(()) => self.store.solve::<3>().and_then(|quiet| on_the_wire(&quiet.solution)),
         };
+        self.moving = solution.as_ref().map_or(0, |solution| self.taken.saturating_sub(solution.samples));
         match solution {
             Err(Refusal::TooFewSamples { .. }) if self.saturated > 0 => {
                 Err(Refusal::Saturated { samples: u64::from(self.saturated) })

@@ -273,7 +273,7 @@ mod tests {
 
     use super::{CalibrationFileError, parse, write};
     use crate::calibration::matrix::matrix_of_shape;
-    use crate::calibration::trial::SampleCounts;
+    use crate::calibration::trial::{Rejection, SampleCounts};
     use crate::calibration::{
         BiasOrigin, Calibration, Handedness, HandednessEvidence, Method, SolutionRecord, TrialRecord,
     };
@@ -298,7 +298,7 @@ mod tests {
                 arm_m: vec![0.1, -0.2, number()],
                 known_loads: 2,
                 solution: Some(SolutionRecord {
-                    samples: SampleCounts::new(1000, 3),
+                    samples: SampleCounts::new(1000, &[(Rejection::Saturated, 3), (Rejection::Moving, 70)]),
                     eigenvalues: vec![number().abs(); gages],
                     noise_counts: None,
                     bias_counts: vec![number(); gages],

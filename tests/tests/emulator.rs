@@ -20,8 +20,8 @@ use ftcal::simulator::scenario::{Scenario, ScenarioKind};
 use ftcal::simulator::sensor::SoftwareSensor;
 use ftcal::simulator::tunnel::{Pace, TunnelledConverter};
 use ftcal_firmware::tunnel::ANSWER_MICROS;
-use ftcal_shared::estimation::moments::{Moments, higher_moment_count};
-use ftcal_shared::estimation::shape::solve_trial;
+use ftcal_shared::estimation::bins::Bins;
+use ftcal_shared::estimation::moments::higher_moment_count;
 use ftcal_shared::fault::AdcFault;
 use ftcal_shared::units::{AdcCode, DataRate, DeviceTime, Gain};
 use ftcal_shared::wire::{
@@ -144,15 +144,17 @@ fn a_trial_is_run_and_solved_and_wrenches_are_measured() {
     assert_eq!(streamed[0].index, trial.first);
     let taken = &streamed[..offered];
     let codes = |frame: &CodesFrame| -> [AdcCode; GAGES] { frame.codes.as_slice().try_into().unwrap() };
-    let mut moments = Moments::<GAGES, { higher_moment_count(GAGES) }>::new(codes(&taken[0]));
+    let mut bins = Box::new(Bins::<GAGES, { higher_moment_count(GAGES) }>::new());
     for frame in taken {
-        moments.push(&codes(frame)).unwrap();
+        bins.offer(&codes(frame)).unwrap();
     }
-    moments.settle();
-    let expected = solve_trial::<GAGES, _, 3>(&moments).unwrap();
+    bins.finish().unwrap();
+    let expected = bins.solve::<3>().unwrap().solution;
 
     let solution = client.solve_trial().unwrap();
-    assert_eq!(solution.samples, trial.used);
+    assert_eq!(u64::from(solution.samples), expected.samples);
+    let solved = client.trial_status().unwrap();
+    assert_eq!((solved.used, solved.used + solved.moving), (solution.samples, trial.used));
     let shape = SMatrix::<f64, 3, GAGES>::from_row_slice(&solution.shape_counts_per_load);
     // The same sums and the same steps: they differ by the rounding of square roots and the like, which the
     // solution's condition amplifies.

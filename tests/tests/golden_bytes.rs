@@ -96,10 +96,13 @@ const TRIAL: TrialStatus = TrialStatus {
     used: 128,
     saturated: 1,
     first: SampleIndex::new(5),
-    offered: 129,
+    offered: 729,
+    repeated: 300,
+    moving: 300,
 };
 
-const TRIAL_BYTES: [u8; 8] = [1, 3, 0x80, 0x01, 1, 5, 0x81, 0x01];
+// 729 = 5·128 + 89 and 300 = 2·128 + 44, each low seven bits first.
+const TRIAL_BYTES: [u8; 12] = [1, 3, 0x80, 0x01, 1, 5, 0xD9, 0x05, 0xAC, 0x02, 0xAC, 0x02];
 
 #[test]
 fn responses() {

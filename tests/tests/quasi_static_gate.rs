@@ -77,7 +77,6 @@ fn codes(
 
 fn bins_of(codes: &[Codes], gated: bool) -> Box<Bins<GAGES, HIGHER>> {
     let mut bins = Box::new(Bins::new());
-    bins.restart(codes[0]);
     for codes in codes {
         if gated { bins.offer(codes) } else { bins.offer_ungated(codes) }.unwrap();
     }
@@ -101,44 +100,33 @@ fn median(mut numbers: Vec<f64>) -> f64 {
     numbers[numbers.len() / 2]
 }
 
-struct Errors {
-    undisturbed: f64,
-    undisturbed_gated: f64,
-    disturbed: f64,
-    disturbed_gated: f64,
-}
-
-fn errors(disturbance: f64) -> Errors {
-    let (mut undisturbed, mut undisturbed_gated, mut disturbed, mut disturbed_gated) =
-        (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+/// Where nothing is disturbed, every sample counts. Where the magnitude wanders by 2 % while the hand moves (57 times the noise),
+/// a moving sample tells nothing of it, and no gate can do better than one who knows the truth and takes the rests alone.
+#[test]
+fn a_disturbed_motion_is_worth_its_rests_and_an_undisturbed_one_all_of_itself() {
+    let [mut clean, mut clean_gated, mut shaken, mut shaken_gated, mut rests] = [const { Vec::new() }; 5];
     for seed in 0..SEEDS {
         let mut rng = random(seed);
         let sensor = KnownSensor::<GAGES, 3>::random(&mut rng, SIGNAL, NOISE);
         let poses = hand(&mut rng);
-        let clean = codes(&sensor, &poses, 0.0, &mut rng.clone());
-        let shaken = codes(&sensor, &poses, disturbance, &mut rng);
-        undisturbed.push(error(&sensor, &solve(&clean, false)));
-        undisturbed_gated.push(error(&sensor, &solve(&clean, true)));
-        disturbed.push(error(&sensor, &solve(&shaken, false)));
-        disturbed_gated.push(error(&sensor, &solve(&shaken, true)));
+        let undisturbed = codes(&sensor, &poses, 0.0, &mut rng.clone());
+        let disturbed = codes(&sensor, &poses, 0.02, &mut rng);
+        let pairs = poses.iter().zip(&disturbed);
+        let resting: Vec<Codes> = pairs.filter(|(pose, _)| !pose.moving).map(|(_, codes)| *codes).collect();
+        clean.push(error(&sensor, &solve(&undisturbed, false)));
+        clean_gated.push(error(&sensor, &solve(&undisturbed, true)));
+        shaken.push(error(&sensor, &solve(&disturbed, false)));
+        shaken_gated.push(error(&sensor, &solve(&disturbed, true)));
+        rests.push(error(&sensor, &solve(&resting, false)));
     }
-    Errors {
-        undisturbed: median(undisturbed),
-        undisturbed_gated: median(undisturbed_gated),
-        disturbed: median(disturbed),
-        disturbed_gated: median(disturbed_gated),
-    }
-}
-
-#[test]
-fn a_disturbed_motion_is_worth_its_rests_and_an_undisturbed_one_all_of_itself() {
-    let errors = errors(0.02);
-    let Errors { undisturbed, undisturbed_gated, disturbed, disturbed_gated } = errors;
+    let [clean, clean_gated, shaken, shaken_gated, rests] =
+        [clean, clean_gated, shaken, shaken_gated, rests].map(median);
+    assert!(clean_gated <= 1.2 * clean, "{clean_gated} for {clean}");
+    assert!(shaken_gated <= 1.25 * rests, "{shaken_gated} for {rests}");
+    assert!(shaken_gated <= 0.05 * shaken, "{shaken_gated} for {shaken}");
     eprintln!(
-        "clean {undisturbed:.2e}, gated {undisturbed_gated:.2e}; disturbed {disturbed:.2e}, gated {disturbed_gated:.2e}"
+        "undisturbed {clean:.2e}, gated {clean_gated:.2e}; disturbed {shaken:.2e}, gated {shaken_gated:.2e}, true rests {rests:.2e}"
     );
-    assert!(undisturbed_gated <= 1.2 * undisturbed, "{undisturbed_gated} for {undisturbed}");
-    assert!(disturbed_gated <= 1.5 * undisturbed, "{disturbed_gated} for {undisturbed}");
 }
 
 #[test]
@@ -151,8 +139,7 @@ fn rests_are_told_from_turns() {
     let resting = poses.iter().filter(|pose| !pose.moving).count() as f64;
     assert_eq!(solved.up_to, Quietness::Still);
     let share = solved.solution.samples as f64 / resting;
-    eprintln!("still: {share} of the rests");
-    // A rest is blurred by 18 samples at either end, and the slow ends of each turn count as rest.
+    // A rest is blurred by 14 samples at either end, and the slow ends of each turn count as rest.
     assert!((0.5..1.5).contains(&share), "{share}");
 }
 

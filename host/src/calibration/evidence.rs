@@ -4,6 +4,7 @@ use std::path::Path;
 
 use super::known_load::{KnownLoad, LoadCase, average};
 use super::motion;
+use super::trial::Gating;
 use super::turning::{Turned, swept};
 use super::{Calibration, CalibrationRefusal, Method, SolvedTrial, least_squares, trial};
 use crate::place::Place;
@@ -78,8 +79,12 @@ impl From<CalibrationRefusal> for CalibrationFailure {
 /// # Errors
 ///
 /// [`CalibrationFailure`]: unreadable evidence, or a refusal.
-pub fn calibrate(session: &Session, method: Method) -> Result<Calibration, CalibrationFailure> {
-    let mut reader = Reader { session, gages: None };
+pub fn calibrate(
+    session: &Session,
+    method: Method,
+    gating: Gating,
+) -> Result<Calibration, CalibrationFailure> {
+    let mut reader = Reader { session, gating, gages: None };
     match method {
         Method::Sfm => {
             let mut trials = Vec::with_capacity(session.trials.len());
@@ -101,6 +106,7 @@ pub fn calibrate(session: &Session, method: Method) -> Result<Calibration, Calib
 /// Opens recordings and sees to it that all have the same number of gages.
 struct Reader<'a> {
     session: &'a Session,
+    gating: Gating,
     gages: Option<usize>,
 }
 
@@ -124,7 +130,7 @@ impl Reader<'_> {
         let mut opened = None;
         let recording = opened.insert(self.open(&trial.recording, trial.place)?);
         let refused = |refusal| CalibrationRefusal::Trial { trial: index, refusal };
-        let shape = trial::solve(recording, self.session.dof.trial_rank()).map_err(refused)?;
+        let shape = trial::solve(recording, self.session.dof.trial_rank(), self.gating).map_err(refused)?;
         let motion = motion::recover(recording, &shape).map_err(refused)?;
         let uncertainty = motion.uncertainty().ok_or(CalibrationRefusal::TrialUncertain { trial: index })?;
         let turned = trial.turning.map(|claimed| Turned { claimed, swept: swept(&motion) });

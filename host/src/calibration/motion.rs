@@ -3,19 +3,23 @@
 //! Its length should be one throughout (the constraint of eq. 13). How well it is tells how far the trial's shape can be
 //! trusted, whatever the cause of the misfit: noise, quantisation, swinging, a sensor that is not linear.
 
+use std::iter;
+
 use ftcal_shared::refusal::Refusal;
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 
 use super::matrix::matrix_of_shape;
 use super::trial::TrialShape;
-use crate::recording::Recording;
+use crate::recording::{Recording, is_saturated};
 
-/// The recovered directions of a trial's load, in the order of the samples used.
+/// The recovered directions of a trial's load, in the order of the samples.
 #[derive(Clone, Debug)]
 pub struct Motion {
-    /// One direction (r) a sample, per unit load.
+    /// One direction (r) for each sample that is not saturated, per unit load.
     pub directions: Vec<DVector<f64>>,
+    /// Those of the samples that the trial was solved from: what the constraint is judged by.
+    pub quiet: Vec<DVector<f64>>,
 }
 
 /// How long the recovered load is, per unit load: one, but for noise.
@@ -43,21 +47,30 @@ pub struct TrialUncertainty {
 /// [`Refusal::RankNotReached`] or [`Refusal::NonFinite`] where the shape cannot be inverted.
 pub fn recover(recording: &Recording, trial: &TrialShape) -> Result<Motion, Refusal> {
     let matrix = matrix_of_shape(&trial.shape_counts_per_load)?;
-    let directions: Vec<DVector<f64>> = recording
-        .unsaturated()
-        .map(|(_, codes)| &matrix * (recording.counts(codes) - &trial.bias_counts))
-        .collect();
+    let mut directions = Vec::with_capacity(recording.len());
+    let mut quiet = Vec::with_capacity(recording.len());
+    let taken = trial.taken.iter().copied().chain(iter::repeat(true));
+    for ((_, codes), taken) in recording.samples().zip(taken) {
+        if is_saturated(codes) {
+            continue;
+        }
+        let direction = &matrix * (recording.counts(codes) - &trial.bias_counts);
+        if taken {
+            quiet.push(direction.clone());
+        }
+        directions.push(direction);
+    }
     if directions.iter().flatten().all(|component| component.is_finite()) {
-        Ok(Motion { directions })
+        Ok(Motion { directions, quiet })
     } else {
         Err(Refusal::NonFinite)
     }
 }
 
 impl Motion {
-    /// Mean and standard deviation of the recovered length; `None` of no sample.
+    /// Mean and standard deviation of the recovered length over the samples used; `None` of no sample.
     pub fn magnitude(&self) -> Option<Magnitude> {
-        magnitude(self.directions.iter().map(DVector::norm))
+        magnitude(self.quiet.iter().map(DVector::norm))
     }
 
     /// How certain the shape and the bias are that this motion was recovered with.
@@ -66,13 +79,13 @@ impl Motion {
     /// E and g, scaled by the misfit that was observed, is that of twice the gains and of twice the bias. `None` where
     /// the motion does not determine them.
     pub fn uncertainty(&self) -> Option<TrialUncertainty> {
-        let rank = self.directions.first()?.len();
+        let rank = self.quiet.first()?.len();
         let quadratic = rank * (rank + 1) / 2;
         let unknowns = quadratic + rank;
-        let freedom = self.directions.len().checked_sub(unknowns).filter(|&freedom| freedom > 0)?;
+        let freedom = self.quiet.len().checked_sub(unknowns).filter(|&freedom| freedom > 0)?;
         let mut normal = DMatrix::zeros(unknowns, unknowns);
         let mut misfit = 0.0;
-        for direction in &self.directions {
+        for direction in &self.quiet {
             let products = (0..rank).flat_map(|a| (a..rank).map(move |b| direction[a] * direction[b]));
             let row = DVector::from_iterator(unknowns, products.chain(direction.iter().copied()));
             normal.ger(1.0, &row, &row, 1.0);
@@ -105,7 +118,7 @@ mod tests {
 
     use super::recover;
     use crate::calibration::synthetic::{Sensor, sphere};
-    use crate::calibration::trial::solve;
+    use crate::calibration::trial::{Gating, solve};
 
     #[test]
     fn the_predicted_uncertainty_is_that_of_repeated_trials() {
@@ -115,7 +128,7 @@ mod tests {
         let (repetitions, mut predicted, mut observed) = (40, 0.0, 0.0);
         for _ in 0..repetitions {
             let recording = sensor.record(1.0, &[], &sphere(400));
-            let trial = solve(&recording, 3).expect("the motion spans");
+            let trial = solve(&recording, 3, Gating::On).expect("the motion spans");
             let motion = recover(&recording, &trial).expect("invertible");
             let length = motion.magnitude().expect("samples");
             assert!((length.mean - 1.0).abs() < 0.01 && length.std < 0.1);

@@ -10,6 +10,7 @@ use rand_distr::{Distribution, StandardNormal};
 
 use super::known_load::{KnownLoad, LoadCase, average, squashing_matrix};
 use super::singular::Singular;
+use super::trial::Gating;
 use super::turning::{Turned, swept};
 use super::{SolvedTrial, motion, trial};
 use crate::recording::Recording;
@@ -109,7 +110,7 @@ impl Sensor {
             arm_m: DVector::from_column_slice(arm_m),
             known_loads,
         };
-        let shape = trial::solve(&recording, self.dof.trial_rank()).expect("the motion spans");
+        let shape = trial::solve(&recording, self.dof.trial_rank(), Gating::On).expect("the motion spans");
         let uncertainty =
             motion::recover(&recording, &shape).expect("invertible").uncertainty().expect("the motion spans");
         SolvedTrial { case, shape, uncertainty, turned: None }

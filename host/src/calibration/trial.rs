@@ -2,19 +2,34 @@
 //!
 //! The estimator of [`ftcal_shared::estimation`] is generic over the number of gages p and the rank r of the trial; this
 //! module picks the instance (p = 2 … 12, r = 2, 3), feeds it the codes, and brings the result back into the counts of
-//! the recording. Samples with a channel at an end of the converter's range are no measurements: they are rejected and
-//! counted.
+//! the recording. Samples with a channel at an end of the converter's range, and those of a converter that repeats itself, are
+//! no measurements; samples during which the load moved too much are left out where that serves the answer. Gate and sums are
+//! the sensor's own code.
 
 use std::collections::BTreeMap;
 
-use ftcal_shared::estimation::moments::{Moments, higher_moment_count};
-use ftcal_shared::estimation::shape::{TrialSolution, solve_trial};
+use clap::ValueEnum;
+use ftcal_shared::estimation::bins::Bins;
+use ftcal_shared::estimation::gate::{Gate, Quietness, Verdict};
+use ftcal_shared::estimation::moments::higher_moment_count;
+use ftcal_shared::estimation::shape::TrialSolution;
 use ftcal_shared::refusal::Refusal;
 use ftcal_shared::units::AdcCode;
+use ftcal_shared::wire::{Solution, TrialStatus};
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-use crate::recording::{Recording, is_saturated};
+use crate::recording::Recording;
+
+/// Whether restless samples may be left out.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum Gating {
+    /// As on the sensor: what repeats itself is rejected, and what moves where that serves the answer.
+    #[default]
+    On,
+    /// Every sample counts that is not saturated.
+    Off,
+}
 
 /// Why a sample takes no part.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -22,6 +37,10 @@ use crate::recording::{Recording, is_saturated};
 pub enum Rejection {
     /// A channel stood at an end of the converter's range.
     Saturated,
+    /// The load moved too much.
+    Moving,
+    /// The converter repeated itself.
+    Repeated,
 }
 
 /// How many samples took part.
@@ -37,10 +56,25 @@ pub struct SampleCounts {
 }
 
 impl SampleCounts {
-    /// The counts of so many samples, some of them saturated.
-    pub fn new(total: u64, saturated: u64) -> Self {
-        let rejected = (saturated > 0).then_some((Rejection::Saturated, saturated));
-        Self { total, used: total.saturating_sub(saturated), rejected: rejected.into_iter().collect() }
+    /// The counts of so many samples, of which some were rejected for these causes.
+    pub fn new(total: u64, rejected: &[(Rejection, u64)]) -> Self {
+        let used = total.saturating_sub(rejected.iter().map(|(_, count)| count).sum());
+        Self { total, used, rejected: rejected.iter().copied().filter(|(_, count)| *count > 0).collect() }
+    }
+
+    /// The counts of a trial that the sensor has solved.
+    pub fn on_the_sensor(trial: &TrialStatus, solution: &Solution) -> Self {
+        let (saturated, repeated) = (u64::from(trial.saturated), u64::from(trial.repeated));
+        let total = u64::from(trial.offered);
+        let moving = total.saturating_sub(saturated + repeated + u64::from(solution.samples));
+        Self::new(
+            total,
+            &[
+                (Rejection::Saturated, saturated),
+                (Rejection::Moving, moving),
+                (Rejection::Repeated, repeated),
+            ],
+        )
     }
 }
 
@@ -49,6 +83,8 @@ impl SampleCounts {
 pub struct TrialShape {
     /// How many samples took part.
     pub samples: SampleCounts,
+    /// Which samples of the recording took part.
+    pub taken: Vec<bool>,
     /// Eigenvalues of the covariance of the codes (p), descending, counts².
     pub eigenvalues: DVector<f64>,
     /// Standard deviation of one channel's noise, counts; `None` at p = r, where nothing redundant tells it.
@@ -76,55 +112,78 @@ impl TrialShape {
 /// # Errors
 ///
 /// Every refusal of the estimator; [`Refusal::Saturated`] where no sample is left but saturated ones.
-pub fn solve(recording: &Recording, rank: usize) -> Result<TrialShape, Refusal> {
+pub fn solve(recording: &Recording, rank: usize, gating: Gating) -> Result<TrialShape, Refusal> {
     match rank {
-        2 => solve_rank::<2>(recording),
-        3 => solve_rank::<3>(recording),
+        2 => solve_rank::<2>(recording, gating),
+        3 => solve_rank::<3>(recording, gating),
         _ => Err(unsupported(recording.gages(), rank)),
     }
 }
 
-fn solve_rank<const RANK: usize>(recording: &Recording) -> Result<TrialShape, Refusal> {
+fn solve_rank<const RANK: usize>(recording: &Recording, gating: Gating) -> Result<TrialShape, Refusal> {
     match recording.gages() {
-        2 => solve_gages::<2, { higher_moment_count(2) }, RANK>(recording),
-        3 => solve_gages::<3, { higher_moment_count(3) }, RANK>(recording),
-        4 => solve_gages::<4, { higher_moment_count(4) }, RANK>(recording),
-        5 => solve_gages::<5, { higher_moment_count(5) }, RANK>(recording),
-        6 => solve_gages::<6, { higher_moment_count(6) }, RANK>(recording),
-        7 => solve_gages::<7, { higher_moment_count(7) }, RANK>(recording),
-        8 => solve_gages::<8, { higher_moment_count(8) }, RANK>(recording),
-        9 => solve_gages::<9, { higher_moment_count(9) }, RANK>(recording),
-        10 => solve_gages::<10, { higher_moment_count(10) }, RANK>(recording),
-        11 => solve_gages::<11, { higher_moment_count(11) }, RANK>(recording),
-        12 => solve_gages::<12, { higher_moment_count(12) }, RANK>(recording),
+        2 => solve_gages::<2, { higher_moment_count(2) }, RANK>(recording, gating),
+        3 => solve_gages::<3, { higher_moment_count(3) }, RANK>(recording, gating),
+        4 => solve_gages::<4, { higher_moment_count(4) }, RANK>(recording, gating),
+        5 => solve_gages::<5, { higher_moment_count(5) }, RANK>(recording, gating),
+        6 => solve_gages::<6, { higher_moment_count(6) }, RANK>(recording, gating),
+        7 => solve_gages::<7, { higher_moment_count(7) }, RANK>(recording, gating),
+        8 => solve_gages::<8, { higher_moment_count(8) }, RANK>(recording, gating),
+        9 => solve_gages::<9, { higher_moment_count(9) }, RANK>(recording, gating),
+        10 => solve_gages::<10, { higher_moment_count(10) }, RANK>(recording, gating),
+        11 => solve_gages::<11, { higher_moment_count(11) }, RANK>(recording, gating),
+        12 => solve_gages::<12, { higher_moment_count(12) }, RANK>(recording, gating),
         gages => Err(unsupported(gages, RANK)),
     }
 }
 
 fn solve_gages<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
     recording: &Recording,
+    gating: Gating,
 ) -> Result<TrialShape, Refusal> {
-    let mut moments: Option<Box<Moments<GAGES, HIGHER>>> = None;
-    let (mut total, mut saturated) = (0, 0);
+    let mut bins = Box::new(Bins::<GAGES, HIGHER>::new());
+    let mut verdicts = Vec::with_capacity(recording.len());
     for (_, codes) in recording.samples() {
-        total += 1;
-        if is_saturated(codes) {
-            saturated += 1;
-            continue;
-        }
         let codes = <&[AdcCode; GAGES]>::try_from(codes).map_err(|_| unsupported(codes.len(), RANK))?;
-        // The first sample used is the pivot.
-        moments.get_or_insert_with(|| Box::new(Moments::new(*codes))).push(codes)?;
+        verdicts.push(match gating {
+            Gating::On => bins.offer(codes),
+            Gating::Off => bins.offer_ungated(codes),
+        }?);
     }
-    let Some(mut moments) = moments else {
-        return Err(match saturated {
-            0 => Refusal::TooFewSamples { have: 0, need: 1 },
-            samples => Refusal::Saturated { samples },
-        });
-    };
-    moments.settle();
-    let solution = solve_trial::<GAGES, HIGHER, RANK>(&moments)?;
-    in_counts(&solution, recording, SampleCounts::new(total, saturated))
+    bins.finish()?;
+    let count = |cause| verdicts.iter().filter(|&&verdict| verdict == cause).count() as u64;
+    let (saturated, repeated) = (count(Verdict::Saturated), count(Verdict::Repeated));
+    let quiet = bins.solve::<RANK>().map_err(|refusal| match refusal {
+        Refusal::TooFewSamples { .. } if saturated > 0 => Refusal::Saturated { samples: saturated },
+        other => other,
+    })?;
+    let taken = taken::<GAGES>(recording, &verdicts, quiet.up_to, gating);
+    let moving = count(Verdict::Accepted).saturating_sub(quiet.solution.samples);
+    let rejected =
+        [(Rejection::Saturated, saturated), (Rejection::Moving, moving), (Rejection::Repeated, repeated)];
+    in_counts(&quiet.solution, recording, SampleCounts::new(verdicts.len() as u64, &rejected), taken)
+}
+
+/// Which samples took part: the gate tells their classes once more, in the order of the accepted ones.
+fn taken<const GAGES: usize>(
+    recording: &Recording,
+    verdicts: &[Verdict],
+    up_to: Quietness,
+    gating: Gating,
+) -> Vec<bool> {
+    let accepted = verdicts.iter().map(|&verdict| verdict == Verdict::Accepted);
+    if gating == Gating::Off {
+        return accepted.collect();
+    }
+    let mut gate = Gate::<GAGES>::new();
+    let mut quiet = Vec::with_capacity(verdicts.len());
+    let mut note = |quietness, _: &[AdcCode; GAGES]| quiet.push(quietness <= up_to);
+    for codes in recording.samples().filter_map(|(_, codes)| codes.try_into().ok()) {
+        gate.offer(codes, &mut note);
+    }
+    gate.finish(&mut note);
+    let mut quiet = quiet.into_iter();
+    accepted.map(|accepted| accepted && quiet.next().unwrap_or(false)).collect()
 }
 
 /// The solution in the counts of the recording.
@@ -132,6 +191,7 @@ fn in_counts<const GAGES: usize, const RANK: usize>(
     solution: &TrialSolution<GAGES, RANK>,
     recording: &Recording,
     samples: SampleCounts,
+    taken: Vec<bool>,
 ) -> Result<TrialShape, Refusal> {
     let quantisation = recording.quantisation();
     let step = quantisation.counts_per_code();
@@ -139,6 +199,7 @@ fn in_counts<const GAGES: usize, const RANK: usize>(
     let shape_codes = DMatrix::from_column_slice(RANK, GAGES, solution.shape_counts_per_load.as_slice());
     let shape = TrialShape {
         samples,
+        taken,
         eigenvalues: DVector::from_column_slice(solution.eigenvalues.as_slice()) * (step * step),
         noise_counts: solution.noise_variance.map(|variance| variance.max(0.0).sqrt() * step),
         bias_counts: bias_codes * step + quantisation.offset_counts(),
@@ -164,7 +225,7 @@ mod tests {
     use ftcal_shared::units::{AdcCode, Dof};
     use nalgebra::DVector;
 
-    use super::{Rejection, SampleCounts, solve};
+    use super::{Gating, Rejection, SampleCounts, solve};
     use crate::calibration::synthetic::{Sensor, sphere, turn};
     use crate::recording::Recording;
 
@@ -180,32 +241,37 @@ mod tests {
     fn every_number_of_gages_finds_its_instance() {
         for gages in 2..=12 {
             let mut planar = Sensor::new(Dof::PlanarForce, gages, 1);
-            let trial = solve(&planar.record(1.0, &[], &turn(500, 2.0)), 2).expect("the motion spans");
+            let trial =
+                solve(&planar.record(1.0, &[], &turn(500, 2.0)), 2, Gating::On).expect("the motion spans");
             assert_eq!((trial.rank(), trial.gages()), (2, gages));
             assert_eq!(trial.noise_counts.is_some(), gages > 2);
             if gages > 2 {
                 let mut spatial = Sensor::new(Dof::SpatialForce, gages, 1);
-                let trial = solve(&spatial.record(1.0, &[], &sphere(500)), 3).expect("the motion spans");
+                let trial =
+                    solve(&spatial.record(1.0, &[], &sphere(500)), 3, Gating::On).expect("the motion spans");
                 assert_eq!((trial.rank(), trial.gages()), (3, gages));
             }
         }
         let mut sensor = Sensor::new(Dof::PlanarForce, 4, 1);
         let recording = sensor.record(1.0, &[], &turn(100, 1.0));
-        assert_eq!(solve(&recording, 4), Err(Refusal::UnsupportedDimensions { gages: 4, rank: 4 }));
+        assert_eq!(
+            solve(&recording, 4, Gating::On),
+            Err(Refusal::UnsupportedDimensions { gages: 4, rank: 4 })
+        );
     }
 
     #[test]
     fn the_answer_follows_the_unit_and_the_zero_of_the_codes() {
         let mut sensor = Sensor::new(Dof::SpatialForce, 6, 2);
         let recording = sensor.record(1.0, &[], &sphere(800));
-        let plain = solve(&recording, 3).expect("the motion spans");
+        let plain = solve(&recording, 3, Gating::On).expect("the motion spans");
         let (times, counts) = counts_of(&recording);
         for (scale, shift) in
             [(1.0 / 3.0, 0.0), (1e-9, 0.0), (1000.0, 1e9), (2.0_f64.powi(-40), 1e-3), (0.7, -12.345)]
         {
             let scaled: Vec<f64> = counts.iter().map(|count| count * scale + shift).collect();
-            let other =
-                solve(&Recording::from_counts(6, times.clone(), &scaled), 3).expect("the motion spans");
+            let other = solve(&Recording::from_counts(6, times.clone(), &scaled), 3, Gating::On)
+                .expect("the motion spans");
             // The quantisation is finer than the codes, so noise decides; rounding to codes moves it by a trifle.
             let unit = scale * plain.shape_counts_per_load.norm();
             let gram = |shape: &nalgebra::DMatrix<f64>| shape.transpose() * shape;
@@ -223,7 +289,7 @@ mod tests {
     fn saturated_samples_are_counted_and_change_nothing() {
         let mut sensor = Sensor::new(Dof::PlanarForce, 3, 3);
         let recording = sensor.record(1.0, &[], &turn(400, 2.0));
-        let clean = solve(&recording, 2).expect("the motion spans");
+        let clean = solve(&recording, 2, Gating::On).expect("the motion spans");
         let mut codes: Vec<AdcCode> = recording.samples().flat_map(|(_, codes)| codes.to_vec()).collect();
         for overload in
             [[AdcCode::MAX, AdcCode::ZERO, AdcCode::ZERO], [AdcCode::ZERO, AdcCode::MIN, AdcCode::MAX]]
@@ -231,16 +297,16 @@ mod tests {
             codes.splice(0..0, overload);
         }
         let times = (0..402).map(f64::from).collect();
-        let trial = solve(&Recording::from_codes(3, times, codes), 2).expect("the motion spans");
-        assert_eq!(trial.samples, SampleCounts::new(402, 2));
+        let trial = solve(&Recording::from_codes(3, times, codes), 2, Gating::On).expect("the motion spans");
+        assert_eq!(trial.samples, SampleCounts::new(402, &[(Rejection::Saturated, 2)]));
         assert_eq!(trial.samples.used, 400);
         assert_eq!(trial.samples.rejected.get(&Rejection::Saturated), Some(&2));
         assert_eq!(trial.shape_counts_per_load, clean.shape_counts_per_load);
 
         let nothing_else = Recording::from_codes(3, vec![0.0; 5], vec![AdcCode::MAX; 15]);
-        assert_eq!(solve(&nothing_else, 2), Err(Refusal::Saturated { samples: 5 }));
+        assert_eq!(solve(&nothing_else, 2, Gating::On), Err(Refusal::Saturated { samples: 5 }));
         assert!(matches!(
-            solve(&Recording::from_codes(3, vec![], vec![]), 2),
+            solve(&Recording::from_codes(3, vec![], vec![]), 2, Gating::On),
             Err(Refusal::TooFewSamples { .. })
         ));
     }

@@ -123,9 +123,9 @@ mod tests {
     use crate::session_file::Turning;
 
     fn motion(angles: impl Iterator<Item = f64>) -> Motion {
-        let directions =
+        let directions: Vec<_> =
             angles.map(|angle| DVector::from_column_slice(&[angle.cos(), angle.sin()])).collect();
-        Motion { directions }
+        Motion { quiet: directions.clone(), directions }
     }
 
     fn hand_of(angles: impl Iterator<Item = f64>) -> Option<Hand> {

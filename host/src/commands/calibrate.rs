@@ -9,6 +9,7 @@ use clap::Args;
 
 use super::{Failure, Streams};
 use crate::calibration::evidence::{self, CalibrationFailure};
+use crate::calibration::trial::Gating;
 use crate::calibration::{BiasOrigin, Calibration, Method};
 use crate::calibration_file;
 use crate::recording::shown;
@@ -26,6 +27,10 @@ pub struct Arguments {
     /// Shape from motion, or least squares on the known loads alone
     #[arg(long, value_enum, default_value = "sfm")]
     pub method: Method,
+    /// Leave out samples during which the load moved too much, where that serves the answer, and those of a converter that
+    /// repeats itself
+    #[arg(long, value_enum, default_value = "on")]
+    pub gate: Gating,
     /// Print the calibration, or the refusal, as JSON
     #[arg(long)]
     pub json: bool,
@@ -38,10 +43,11 @@ pub struct Arguments {
 /// [`Failure`].
 pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> {
     let session = Session::read(&arguments.session).map_err(Failure::input)?;
-    let calibration = evidence::calibrate(&session, arguments.method).map_err(|failure| match failure {
-        CalibrationFailure::Input(error) => Failure::input(error),
-        CalibrationFailure::Refused(refusal) => Failure::Refused(remedy::calibration(&refusal)),
-    })?;
+    let calibration =
+        evidence::calibrate(&session, arguments.method, arguments.gate).map_err(|failure| match failure {
+            CalibrationFailure::Input(error) => Failure::input(error),
+            CalibrationFailure::Refused(refusal) => Failure::Refused(remedy::calibration(&refusal)),
+        })?;
     save(&calibration, arguments)?;
     if arguments.json {
         calibration_file::write(&calibration, &mut *streams.data)?;

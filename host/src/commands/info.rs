@@ -99,6 +99,8 @@ struct Trial {
     rank: u8,
     used: u32,
     saturated: u32,
+    repeated: u32,
+    moving: u32,
 }
 
 #[derive(Serialize)]
@@ -137,6 +139,8 @@ impl Info {
                 rank: status.trial.rank,
                 used: status.trial.used,
                 saturated: status.trial.saturated,
+                repeated: status.trial.repeated,
+                moving: status.trial.moving,
             },
             link: Link { dropped_frames: status.dropped_frames, broken_frames: status.broken_frames },
         }

@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::{Failure, Streams, print_json};
 use crate::calibration::motion::{Magnitude, recover};
-use crate::calibration::trial::{SampleCounts, TrialShape, solve};
+use crate::calibration::trial::{Gating, SampleCounts, TrialShape, solve};
 use crate::calibration_file::rows;
 use crate::recording::Recording;
 use crate::remedy;
@@ -22,6 +22,10 @@ pub struct Arguments {
     /// Directions that the load spans: 2 for a planar sensor, 3 for a spatial one
     #[arg(long, value_parser = clap::value_parser!(u8).range(2..=3))]
     pub rank: u8,
+    /// Leave out samples during which the load moved too much, where that serves the answer, and those of a converter that
+    /// repeats itself
+    #[arg(long, value_enum, default_value = "on")]
+    pub gate: Gating,
     /// Print refusals as JSON, too, and no summary
     #[arg(long)]
     pub json: bool,
@@ -49,11 +53,11 @@ pub struct Report {
 }
 
 impl Report {
-    fn new(recording: &Recording, rank: usize) -> Result<Self, Refusal> {
-        let trial = solve(recording, rank)?;
+    fn new(recording: &Recording, rank: usize, gate: Gating) -> Result<Self, Refusal> {
+        let trial = solve(recording, rank, gate)?;
         let magnitude = recover(recording, &trial)?.magnitude().ok_or(Refusal::NonFinite)?;
         let (rank, gages) = (trial.rank(), trial.gages());
-        let TrialShape { samples, eigenvalues, noise_counts, bias_counts, shape_counts_per_load } = trial;
+        let TrialShape { samples, eigenvalues, noise_counts, bias_counts, shape_counts_per_load, .. } = trial;
         Ok(Self {
             rank,
             gages,
@@ -99,7 +103,7 @@ impl Report {
 /// [`Failure`].
 pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> {
     let recording = Recording::read(&arguments.recording).map_err(Failure::input)?;
-    let report = Report::new(&recording, usize::from(arguments.rank))
+    let report = Report::new(&recording, usize::from(arguments.rank), arguments.gate)
         .map_err(|refusal| Failure::Refused(remedy::estimation(&refusal)))?;
     if !arguments.json {
         report.summarise(streams.words)?;

@@ -108,7 +108,7 @@ impl<'a> Report<'a> {
         Self {
             rank: solution.rank,
             gages,
-            samples: SampleCounts::new(trial.offered.into(), trial.saturated.into()),
+            samples: SampleCounts::on_the_sensor(trial, solution),
             eigenvalues: &solution.eigenvalues,
             noise_counts: solution.noise_counts,
             bias_counts: &solution.bias_counts,

@@ -13,7 +13,7 @@ use rand_distr::{Distribution, StandardNormal};
 use super::{DemoError, Stage};
 use crate::calibration::known_load::{KnownLoad, LoadCase, average};
 use crate::calibration::motion;
-use crate::calibration::trial::{self, SampleCounts, TrialShape};
+use crate::calibration::trial::{self, Gating, SampleCounts, TrialShape};
 use crate::calibration::turning::{Turned, swept};
 use crate::calibration::{CalibrationRefusal, SolvedTrial};
 use crate::link::client::Client;
@@ -78,8 +78,8 @@ pub fn acquire(
             trial.load.mass_kg,
         )?;
         let (recording, solution, status) = turn_and_solve(stage, trial, rank)?;
-        let shape = from_sensor(&solution, status);
-        let on_host = trial::solve(&recording, rank).map_err(refused(index))?;
+        let on_host = trial::solve(&recording, rank, Gating::On).map_err(refused(index))?;
+        let shape = from_sensor(&solution, &status, on_host.taken);
         let difference = relative_difference(&shape.shape_counts_per_load, &on_host.shape_counts_per_load);
         writeln!(
             progress,
@@ -261,11 +261,13 @@ fn recording_of(samples: &[Sample]) -> Recording {
     Recording::from_codes(gages, times, codes)
 }
 
-/// The sensor's solution as the host's calibration takes it.
-fn from_sensor(solution: &Solution, status: TrialStatus) -> TrialShape {
+/// The sensor's solution as the host's calibration takes it. Which samples took part is what the host found: the sensor does the
+/// same and tells their number.
+fn from_sensor(solution: &Solution, status: &TrialStatus, taken: Vec<bool>) -> TrialShape {
     let gages = solution.bias_counts.len();
     TrialShape {
-        samples: SampleCounts::new(u64::from(status.offered), u64::from(status.saturated)),
+        samples: SampleCounts::on_the_sensor(status, solution),
+        taken,
         eigenvalues: DVector::from_column_slice(&solution.eigenvalues),
         noise_counts: solution.noise_counts,
         bias_counts: DVector::from_column_slice(&solution.bias_counts),

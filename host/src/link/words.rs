@@ -128,5 +128,11 @@ pub fn trial_status(trial: &TrialStatus) -> String {
     if trial.saturated > 0 {
         let _ = write!(words, ", {} rejected for saturation", trial.saturated);
     }
+    if trial.repeated > 0 {
+        let _ = write!(words, ", {} rejected because the converter repeated itself", trial.repeated);
+    }
+    if trial.moving > 0 {
+        let _ = write!(words, ", {} left out because the load moved too much", trial.moving);
+    }
     words
 }

@@ -19,8 +19,9 @@ use embedded_hal::delay::DelayNs;
 use ftcal_firmware::sensor::{LinkCounters, Reaction, Sensor, StreamFrame};
 use ftcal_firmware::session::{Session, hello};
 use ftcal_firmware::trial::SolveJob;
-use ftcal_shared::estimation::moments::{Moments, higher_moment_count};
-use ftcal_shared::units::{AdcCode, DeviceTime};
+use ftcal_shared::estimation::bins::Bins;
+use ftcal_shared::estimation::moments::higher_moment_count;
+use ftcal_shared::units::DeviceTime;
 use ftcal_shared::wire::frame::encode;
 use ftcal_shared::wire::{ClockSource, Request, RequestId, Response, ToDevice, ToHost};
 use thiserror::Error;
@@ -133,7 +134,7 @@ impl Transport for SimulatedBoard {
     }
 }
 
-type Store<const GAGES: usize, const HIGHER: usize> = Box<Moments<GAGES, HIGHER>>;
+type Store<const GAGES: usize, const HIGHER: usize> = Box<Bins<GAGES, HIGHER>>;
 
 /// A board with `GAGES` gages.
 struct GageBoard<const GAGES: usize, const HIGHER: usize> {
@@ -147,7 +148,7 @@ struct GageBoard<const GAGES: usize, const HIGHER: usize> {
 
 impl<const GAGES: usize, const HIGHER: usize> GageBoard<GAGES, HIGHER> {
     fn new(bench: SharedBench) -> Self {
-        let store = Box::new(Moments::new([AdcCode::ZERO; GAGES]));
+        let store = Box::new(Bins::new());
         Self {
             sensor: Sensor::new(bench.clone(), store, ClockSource::Simulated),
             bench,

@@ -59,13 +59,13 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
         }
     }
 
-    /// Empties gate and sums. The pivot is a sample of the trial: it takes the offset out of all sums.
-    pub fn restart(&mut self, pivot: [AdcCode; GAGES]) {
+    /// Empties gate and sums.
+    pub fn restart(&mut self) {
         self.gate = Gate::new();
         self.finished = false;
         self.full = None;
         for bin in &mut self.bins {
-            bin.restart(pivot);
+            bin.restart([AdcCode::ZERO; GAGES]);
         }
     }
 
@@ -149,6 +149,12 @@ fn push<const GAGES: usize, const HIGHER: usize>(
     quietness: Quietness,
     codes: &[AdcCode; GAGES],
 ) {
+    if bins.iter().all(|bin| bin.count() == 0) {
+        // The first sample is the pivot, which takes the offset out of all sums.
+        for bin in bins.iter_mut() {
+            bin.restart(*codes);
+        }
+    }
     if let Err(refusal) = bins[quietness as usize].push(codes) {
         *full = Some(refusal);
     }

@@ -71,7 +71,7 @@ pub struct TrialStatus {
     pub phase: TrialPhase,
     /// The proper rank asked for; 0 before the first trial.
     pub rank: u8,
-    /// Samples taken in.
+    /// Samples taken in; once the trial is solved, those that its metric was taken from.
     pub used: u32,
     /// Samples rejected because a channel stood at the end of its range.
     pub saturated: u32,
@@ -79,6 +79,10 @@ pub struct TrialStatus {
     pub first: SampleIndex,
     /// Samples offered to the trial: used and rejected.
     pub offered: u32,
+    /// Samples rejected because the converter repeats itself.
+    pub repeated: u32,
+    /// Samples that the solution leaves out because the load moved too much; zero before the trial is solved.
+    pub moving: u32,
 }
 
 /// What a trial is doing.
