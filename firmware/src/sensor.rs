@@ -7,7 +7,7 @@ use embedded_hal::spi::SpiDevice;
 use ftcal_shared::estimation::application::{RealTimeCalibration, UnusableCalibration};
 use ftcal_shared::estimation::bins::Bins;
 use ftcal_shared::fault::AdcFault;
-use ftcal_shared::units::{AdcCode, DeviceTime};
+use ftcal_shared::units::{AdcCode, DeviceTime, Gain};
 use ftcal_shared::wire::{
     AdcState, CalibrationUpload, ClockSource, CodesFrame, GageList, InvalidCause, Measurement, Rejection,
     Request, Response, Status, StreamKind, ToHost, WrenchFrame,
@@ -64,6 +64,8 @@ pub struct Sensor<Spi, Store, const GAGES: usize, const HIGHER: usize> {
 /// A calibration as it came, and in the form that the sample path applies.
 struct LoadedCalibration<const GAGES: usize> {
     upload: CalibrationUpload,
+    /// The gain that it came at: its counts are counts at this gain.
+    gain: Gain,
     real_time: RealTimeCalibration<GAGES>,
 }
 
@@ -161,6 +163,9 @@ where
         let Some(calibration) = &self.calibration else {
             return Measurement::Invalid(InvalidCause::Uncalibrated);
         };
+        if calibration.gain != self.acquisition.settings().gain {
+            return Measurement::Invalid(InvalidCause::GainChanged);
+        }
         let saturated = saturated_channels(codes);
         if saturated != 0 {
             return Measurement::Invalid(InvalidCause::Saturated(saturated));
@@ -194,7 +199,8 @@ where
                 }
             },
         )?;
-        self.calibration = Some(LoadedCalibration { upload, real_time });
+        self.calibration =
+            Some(LoadedCalibration { upload, gain: self.acquisition.settings().gain, real_time });
         Ok(())
     }
 

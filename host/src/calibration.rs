@@ -67,7 +67,7 @@ const LARGEST_WRENCH_ERROR: f64 = 0.15;
 const LEAST_RESPONSE: f64 = 0.02;
 
 /// How far the biases of trials may be apart, as a share of the signal of their loads, beyond their uncertainty.
-const LARGEST_BIAS_DISAGREEMENT: f64 = 0.05;
+const LARGEST_BIAS_DISAGREEMENT: f64 = 0.02;
 
 /// How many standard deviations beyond that count as a disagreement.
 const CONTRADICTION: f64 = 5.0;
@@ -126,6 +126,8 @@ pub enum Method {
 pub enum BiasOrigin {
     /// Estimated with the shape.
     Estimated,
+    /// Least squares on loads that do not determine it: the mean of the trials', from their motion.
+    OfMotion,
     /// Taken as zero: the known loads alone do not determine it.
     TakenAsZero,
 }

@@ -44,11 +44,12 @@ pub fn estimation(refusal: &Refusal) -> Explained {
                 "the weakest direction of the signal has {ratio:.1} times the variance of the noise, {need:.1} times \
                  are needed"
             ),
-            "Use a larger mass or turn the load through all directions; check that the rank is the sensor's.",
+            "Use a larger mass or turn the load through all directions; check that the rank is the sensor's, and that no channel \
+             jumps, sticks or clips.",
         ),
         Refusal::MotionDoesNotSpan { relative_uncertainty, need } => Explained::new(
             "motion-does-not-span",
-            if relative_uncertainty.is_finite() {
+            if relative_uncertainty < 2.0 {
                 format!(
                     "the motion fixes the sensor's gains only within {:.1} % (at most {:.1} % is accepted)",
                     50.0 * relative_uncertainty,
@@ -63,6 +64,25 @@ pub fn estimation(refusal: &Refusal) -> Explained {
             "metric-not-positive-definite",
             "the codes lie on no ellipsoid, so no load of constant magnitude made them",
             "Let one constant mass hang freely and turn slowly; check that the rank is the sensor's.",
+        ),
+        Refusal::MagnitudeNotConstant { scatter, limit } => Explained::new(
+            "magnitude-not-constant",
+            format!(
+                "the recovered load's magnitude varies by {:.0} % beyond noise (at most {:.0} % is accepted)",
+                100.0 * scatter,
+                100.0 * limit
+            ),
+            "Let one constant mass hang from the first sample to the last, and turn it slowly; record again.",
+        ),
+        Refusal::RankExceeded { share, limit } => Explained::new(
+            "rank-exceeded",
+            format!(
+                "beyond the rank asked for, the codes vary in a further direction by {:.1} % of the weakest signal (at \
+                 most {:.1} % is accepted)",
+                100.0 * share,
+                100.0 * limit
+            ),
+            "Ask for the rank of the load's motion; if you did, look for a channel that clips, jumps or is not linear.",
         ),
         Refusal::NonFinite => Explained::new(
             "non-finite",

@@ -59,4 +59,18 @@ pub enum Refusal {
         /// Rank r.
         rank: u8,
     },
+    /// The load's magnitude was not constant: the recovered loads differ in length by more than noise explains.
+    MagnitudeNotConstant {
+        /// Standard deviation of the magnitude, relative.
+        scatter: f32,
+        /// The largest that is accepted.
+        limit: f32,
+    },
+    /// The codes vary in a further direction that is neither noise nor part of a motion of this rank.
+    RankExceeded {
+        /// Standard deviation in that direction over that in the weakest direction of the motion.
+        share: f32,
+        /// The largest that is accepted.
+        limit: f32,
+    },
 }

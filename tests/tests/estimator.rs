@@ -1,12 +1,20 @@
 //! Properties of the estimator: what must not change the answer, and what must be refused.
 
+#![expect(
+    clippy::cast_possible_truncation,
+    reason = "codes and matrices are rounded to what the sensor holds"
+)]
+
+use ftcal_shared::estimation::application::RealTimeCalibration;
+use ftcal_shared::estimation::calibration::calibration_matrix;
 use ftcal_shared::estimation::moments::Moments;
 use ftcal_shared::estimation::shape::{TrialSolution, solve_trial};
 use ftcal_shared::refusal::Refusal;
-use ftcal_shared::units::AdcCode;
+use ftcal_shared::units::{AdcCode, Dof};
 use ftcal_tests::{KnownSensor, moments_of, random, shape_difference};
 use nalgebra::{Rotation3, SMatrix, SVector, Vector3};
 use proptest::prelude::{ProptestConfig, any, prop_assert, prop_assert_eq, proptest};
+use rand_distr::{Distribution, StandardNormal};
 
 fn solve_wrist(codes: &[[AdcCode; 8]]) -> Result<TrialSolution<8, 3>, Refusal> {
     solve_trial::<8, 450, 3>(&moments_of(codes))
@@ -164,6 +172,62 @@ proptest! {
             .collect();
         let refused = matches!(solve_wrist(&codes), Err(Refusal::MotionDoesNotSpan { .. } | Refusal::MetricNotPositiveDefinite));
         prop_assert!(refused);
+    }
+}
+
+/// The calibration matrix of a recovered shape gives every load back, applied as the sensor applies it (eq. 1, 5): within
+/// single precision of what the exact matrix gives.
+#[test]
+fn the_applied_calibration_gives_the_loads_back() {
+    let mut rng = random(3);
+    let sensor = KnownSensor::<8, 3>::random(&mut rng, 300_000.0, 0.0);
+    let matrix = calibration_matrix(&sensor.shape).unwrap();
+    let rows: Vec<f32> =
+        matrix.row_iter().flat_map(|row| row.iter().map(|&c| c as f32).collect::<Vec<_>>()).collect();
+    let applied = RealTimeCalibration::<8>::new(Dof::SpatialForce, &rows, sensor.bias.as_slice()).unwrap();
+    for codes in sensor.trial(200, &mut rng) {
+        let exact = matrix * (SVector::from_fn(|gage, _| f64::from(codes[gage].counts())) - sensor.bias);
+        let wrench = applied.apply(&codes);
+        for axis in 0..3 {
+            assert!((f64::from(wrench[axis]) - exact[axis]).abs() < 8.0 * f64::from(f32::EPSILON) * 4.0);
+        }
+        assert_eq!(wrench[3..], [0.0; 3]);
+    }
+}
+
+/// A load that is not constant is no shape-from-motion load, however many samples there are.
+#[test]
+fn a_load_that_changes_is_refused() {
+    for seed in 0..20 {
+        let mut rng = random(seed);
+        let sensor = KnownSensor::<8, 3>::random(&mut rng, 300_000.0, 300.0);
+        let codes: Vec<_> = (0..20_000)
+            .map(|_| {
+                let mut gaussian = || -> f64 { StandardNormal.sample(&mut rng) };
+                let load = Vector3::from_fn(|_, _| 0.6 * gaussian());
+                let exact = sensor.bias + sensor.shape.transpose() * load;
+                core::array::from_fn(|gage| {
+                    AdcCode::saturating((exact[gage] + 300.0 * gaussian()).round() as i64)
+                })
+            })
+            .collect();
+        let refusal = solve_wrist(&codes).expect_err("the load is Gaussian");
+        assert!(matches!(refusal, Refusal::MagnitudeNotConstant { .. }), "{refusal:?}");
+    }
+}
+
+/// A spatial load is no planar one, even where one direction is weak.
+#[test]
+fn a_rank_too_low_is_refused() {
+    for seed in 0..20 {
+        let mut rng = random(seed);
+        let sensor = KnownSensor::<8, 3>::random(&mut rng, 300_000.0, 300.0);
+        let moments = moments_of::<8, 450>(&sensor.trial(2000, &mut rng));
+        let refusal = solve_trial::<8, 450, 2>(&moments).expect_err("the load turns in space");
+        assert!(
+            matches!(refusal, Refusal::RankExceeded { .. } | Refusal::NoEigenvalueGap { .. }),
+            "{refusal:?}"
+        );
     }
 }
 

@@ -183,6 +183,8 @@ fn refusals() {
     refused(Refusal::OverflowAhead { samples: 300 }, &[7, 0xAC, 0x02]);
     refused(Refusal::PivotsDiffer, &[8]);
     refused(Refusal::UnsupportedDimensions { gages: 13, rank: 4 }, &[9, 13, 4]);
+    refused(Refusal::MagnitudeNotConstant { scatter: 0.5, limit: 2.0 }, &[10, 0, 0, 0, 0x3F, 0, 0, 0, 0x40]);
+    refused(Refusal::RankExceeded { share: 0.5, limit: 2.0 }, &[11, 0, 0, 0, 0x3F, 0, 0, 0, 0x40]);
 }
 
 #[test]
@@ -252,6 +254,7 @@ fn stream_frames() {
     assert_golden(&frame(Measurement::Invalid(InvalidCause::Uncalibrated)), &[3, 1, 2, 1, 0]);
     assert_golden(&frame(Measurement::Invalid(InvalidCause::Saturated(0x81))), &[3, 1, 2, 1, 1, 0x81, 0x01]);
     assert_golden(&frame(Measurement::Invalid(InvalidCause::Adc(AdcFault::Bus))), &[3, 1, 2, 1, 2, 0]);
+    assert_golden(&frame(Measurement::Invalid(InvalidCause::GainChanged)), &[3, 1, 2, 1, 3]);
 }
 
 #[test]

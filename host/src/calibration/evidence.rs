@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use nalgebra::DVector;
+
 use super::known_load::{KnownLoad, LoadCase, average};
 use super::motion;
 use super::trial::Gating;
@@ -95,10 +97,15 @@ pub fn calibrate(
         }
         Method::LeastSquares => {
             let mut cases = Vec::with_capacity(session.trials.len());
+            let mut biases = Vec::new();
             for (index, trial) in session.trials.iter().enumerate() {
-                cases.push(reader.case(index, trial, &mut None)?);
+                let mut opened = None;
+                cases.push(reader.case(index, trial, &mut opened)?);
+                biases.extend(reader.bias_of_motion(trial, opened)?);
             }
-            Ok(least_squares::calibrate(session.dof, session.gravity, &cases)?)
+            let trials = biases.len() as f64;
+            let bias = (!biases.is_empty()).then(|| biases.iter().sum::<DVector<f64>>() / trials);
+            Ok(least_squares::calibrate(session.dof, session.gravity, &cases, bias.as_ref())?)
         }
     }
 }
@@ -136,6 +143,21 @@ impl Reader<'_> {
         let turned = trial.turning.map(|claimed| Turned { claimed, swept: swept(&motion) });
         let case = self.case(index, trial, &mut opened)?;
         Ok(SolvedTrial { case, shape, uncertainty, turned })
+    }
+
+    /// The bias that a trial's motion tells, or `None` where its recording is no motion that tells one.
+    fn bias_of_motion(
+        &mut self,
+        trial: &SessionTrial,
+        opened: Option<Recording>,
+    ) -> Result<Option<DVector<f64>>, EvidenceError> {
+        let recording = match opened {
+            Some(recording) => recording,
+            None => self.open(&trial.recording, trial.place)?,
+        };
+        Ok(trial::solve(&recording, self.session.dof.trial_rank(), self.gating)
+            .ok()
+            .map(|solved| solved.bias_counts))
     }
 
     /// What hung on the sensor. The trial's recording is opened where a window of it is asked for and nobody has yet.

@@ -4,7 +4,8 @@
 //! truncated at the proper rank m: the directions of Z beyond it hold noise only, whose inverse would swamp the answer.
 //!
 //! The bias is found first, from Z = [M 1][S; bᵀ], where the loads allow, that is where [M 1] has rank m + 1: the loads
-//! must differ by more than a plane through all of them. Otherwise it is taken as zero, and the calibration says so.
+//! must differ by more than a plane through all of them. Otherwise it is the one that the trials' motion tells (the centre
+//! of eq. 13), if there is motion; and else it is taken as zero, which the calibration says.
 
 use ftcal_shared::units::Dof;
 use nalgebra::{DMatrix, DVector};
@@ -20,7 +21,10 @@ const LEAST_SPAN: f64 = 0.02;
 const LEAST_RESPONSE: f64 = 1e-9;
 
 /// The largest part of the loads, relative, that the matrix may leave unexplained.
-const LARGEST_RESIDUAL: f64 = 0.2;
+const LARGEST_RESIDUAL: f64 = 0.1;
+
+/// The largest change of the force from the first half of a rest to the second, as a share of the load.
+const LARGEST_DRIFT: f64 = 0.02;
 
 /// Calibrates by least squares on the known loads.
 ///
@@ -28,8 +32,14 @@ const LARGEST_RESIDUAL: f64 = 0.2;
 ///
 /// [`CalibrationRefusal::TooFewKnownLoads`], [`CalibrationRefusal::TooFewGages`],
 /// [`CalibrationRefusal::KnownLoadsDoNotSpan`], [`CalibrationRefusal::ShapeRankDeficient`],
-/// [`CalibrationRefusal::KnownLoadsNotLinear`], [`CalibrationRefusal::NonFinite`].
-pub fn calibrate(dof: Dof, gravity: f64, cases: &[LoadCase]) -> Result<Calibration, CalibrationRefusal> {
+/// [`CalibrationRefusal::KnownLoadsNotLinear`], [`CalibrationRefusal::KnownLoadNotAtRest`],
+/// [`CalibrationRefusal::NonFinite`].
+pub fn calibrate(
+    dof: Dof,
+    gravity: f64,
+    cases: &[LoadCase],
+    bias_of_motion: Option<&DVector<f64>>,
+) -> Result<Calibration, CalibrationRefusal> {
     let components = dof.count();
     let pairs: Vec<(DVector<f64>, &DVector<f64>)> = cases
         .iter()
@@ -53,8 +63,11 @@ pub fn calibrate(dof: Dof, gravity: f64, cases: &[LoadCase]) -> Result<Calibrati
         return Err(CalibrationRefusal::KnownLoadsDoNotSpan { have: spanned, need: components });
     }
 
-    let bias_estimate = bias(&loads, &codes);
-    let bias_counts = bias_estimate.clone().unwrap_or_else(|| DVector::zeros(gages));
+    let (bias_counts, bias_origin) = match (bias(&loads, &codes), bias_of_motion) {
+        (Some(estimated), _) => (estimated, BiasOrigin::Estimated),
+        (None, Some(of_motion)) => (of_motion.clone(), BiasOrigin::OfMotion),
+        (None, None) => (DVector::zeros(gages), BiasOrigin::TakenAsZero),
+    };
     let mut signals = codes;
     for mut row in signals.row_iter_mut() {
         row -= bias_counts.transpose();
@@ -65,6 +78,7 @@ pub fn calibrate(dof: Dof, gravity: f64, cases: &[LoadCase]) -> Result<Calibrati
     if !linear {
         return Err(CalibrationRefusal::KnownLoadsNotLinear { residual, need: LARGEST_RESIDUAL });
     }
+    require_rest(dof, gravity, cases, &matrix)?;
     // C = [Sᵀ]⁺, so Sᵀ = C⁺; the pseudo-inverse of C is that of a shape, transposed.
     let shape = super::matrix_of_shape(&matrix).map_err(|_| CalibrationRefusal::ShapeRankDeficient)?;
     Calibration {
@@ -73,13 +87,36 @@ pub fn calibrate(dof: Dof, gravity: f64, cases: &[LoadCase]) -> Result<Calibrati
         gravity,
         matrix,
         bias_counts,
-        bias: if bias_estimate.is_some() { BiasOrigin::Estimated } else { BiasOrigin::TakenAsZero },
+        bias: bias_origin,
         shape,
         handedness: Handedness::Proven,
         fusion_residual: residual,
         trials: cases.iter().map(LoadCase::record).collect(),
     }
     .finite()
+}
+
+/// Refuses rests during which the force changed: they are no known loads.
+fn require_rest(
+    dof: Dof,
+    gravity: f64,
+    cases: &[LoadCase],
+    matrix: &DMatrix<f64>,
+) -> Result<(), CalibrationRefusal> {
+    for (trial, case) in cases.iter().enumerate() {
+        for (load, known) in case.known_loads.iter().enumerate() {
+            let change = (matrix * &known.rest.drift).rows(0, dof.trial_rank()).norm();
+            let drift_rad = change / (case.mass_kg * gravity);
+            if drift_rad > LARGEST_DRIFT {
+                return Err(CalibrationRefusal::KnownLoadNotAtRest {
+                    trial,
+                    load,
+                    drift_deg: drift_rad.to_degrees(),
+                });
+            }
+        }
+    }
+    Ok(())
 }
 
 /// b (p) from Z = [M 1][S; bᵀ], or `None` where the loads do not determine it.
@@ -166,8 +203,9 @@ mod tests {
     fn exact_known_loads_give_the_exact_matrix_and_bias() {
         for seed in 0..5 {
             let sensor = Sensor::new(Dof::SpatialForceTorque, 8, seed);
-            let calibration = calibrate(sensor.dof, STANDARD_GRAVITY, &cases(&sensor, &ARMS, &directions()))
-                .expect("twelve known loads span everything");
+            let calibration =
+                calibrate(sensor.dof, STANDARD_GRAVITY, &cases(&sensor, &ARMS, &directions()), None)
+                    .expect("twelve known loads span everything");
             assert!(sensor.error_of(&calibration.matrix) < 1e-9);
             assert_eq!(calibration.bias, BiasOrigin::Estimated);
             assert!((&calibration.bias_counts - &sensor.bias_counts).amax() < 1e-4);
@@ -186,7 +224,7 @@ mod tests {
         let cases: Vec<LoadCase> =
             ARMS.iter().zip(&loads).flat_map(|(&arm, loads)| cases(&sensor, &[arm], loads)).collect();
         let calibration =
-            calibrate(sensor.dof, STANDARD_GRAVITY, &cases).expect("six known loads span everything");
+            calibrate(sensor.dof, STANDARD_GRAVITY, &cases, None).expect("six known loads span everything");
         assert_eq!(calibration.bias, BiasOrigin::TakenAsZero);
         assert!(sensor.error_of(&calibration.matrix) < 1e-9);
     }
@@ -195,7 +233,7 @@ mod tests {
     fn known_loads_that_are_too_few_or_do_not_span_are_refused() {
         let sensor = Sensor::new(Dof::SpatialForceTorque, 8, 7);
         let refusal = |arms: &[[f64; 3]], directions: &[DVector<f64>]| {
-            calibrate(sensor.dof, STANDARD_GRAVITY, &cases(&sensor, arms, directions))
+            calibrate(sensor.dof, STANDARD_GRAVITY, &cases(&sensor, arms, directions), None)
                 .expect_err("not determined")
         };
         assert_eq!(

@@ -4,7 +4,7 @@
 //! out reversed, so one word from the user, "counterclockwise", settles the mirror image that a single known load
 //! leaves (design § 6). The sense must be plain: at least half a turn that way, and little of the other.
 
-use std::f64::consts::{FRAC_PI_2, PI};
+use std::f64::consts::{FRAC_PI_4, PI};
 
 use nalgebra::DVector;
 
@@ -22,7 +22,8 @@ const LEAST_TURN: f64 = PI;
 /// How many times more the load must have turned one way than the other.
 const LEAST_DOMINANCE: f64 = 4.0;
 
-/// The largest share of steps of more than a quarter turn, whose sense is a guess.
+/// The largest share of steps of more than an eighth of a turn from one sample to the next, whose sense is a guess. (A load
+/// that turns by nearly a whole turn between samples looks like one that creeps back; nothing in the codes tells.)
 const LARGEST_SHARE_OF_JUMPS: f64 = 0.01;
 
 /// How far a planar load turned each way in the trial's own frame.
@@ -57,7 +58,7 @@ pub fn swept(motion: &Motion) -> Swept {
         let [before, after] = pair else { continue };
         let step = signed_angle(before, after);
         steps += 1;
-        if step.abs() > FRAC_PI_2 {
+        if step.abs() > FRAC_PI_4 {
             jumps += 1;
             continue;
         }

@@ -1,17 +1,18 @@
 //! `ftcal apply`: a recording to forces and torques.
 
-use std::fs::File;
-use std::io::{self, BufWriter, Write};
+use std::io::{self, Write};
 use std::path::PathBuf;
 
-use anyhow::Context;
 use clap::Args;
-use ftcal_shared::units::Axis;
+use ftcal_shared::refusal::Refusal;
+use ftcal_shared::units::{AdcCode, Axis};
 
+use super::output::Output;
 use super::{Failure, Streams};
 use crate::calibration::Calibration;
 use crate::calibration_file;
 use crate::recording::{Recording, is_saturated, shown};
+use crate::remedy;
 
 /// Turn a recording into forces and torques
 #[derive(Args, Clone, Debug)]
@@ -62,16 +63,15 @@ pub fn read(
 /// [`Failure`].
 pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> {
     let (calibration, recording) = read(&arguments.calibration, &arguments.recording)?;
-    let saturated = match &arguments.output {
-        None => write_wrenches(&calibration, &recording, &mut *streams.data)?,
-        Some(path) => {
-            let cannot_write = || format!("{}: cannot be written", shown(path));
-            let mut file = BufWriter::new(File::create(path).with_context(cannot_write)?);
-            let saturated = write_wrenches(&calibration, &recording, &mut file).with_context(cannot_write)?;
-            file.flush().with_context(cannot_write)?;
-            saturated
-        }
+    let overflow = |(_, codes): (f64, &[AdcCode])| {
+        !calibration.wrench(&recording.counts(codes)).iter().all(|component| component.is_finite())
     };
+    if recording.unsaturated().any(overflow) {
+        return Err(Failure::Refused(remedy::estimation(&Refusal::NonFinite)));
+    }
+    let mut output = Output::open(arguments.output.as_deref(), streams.data)?;
+    let saturated = write_wrenches(&calibration, &recording, &mut output)?;
+    output.finish()?;
     if saturated > 0 {
         writeln!(
             streams.words,

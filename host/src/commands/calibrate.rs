@@ -1,12 +1,11 @@
 //! `ftcal calibrate`: a session file to a calibration file.
 
-use std::fs::File;
-use std::io::{self, BufWriter, Write};
+use std::io::{self, Write};
 use std::path::PathBuf;
 
-use anyhow::Context;
 use clap::Args;
 
+use super::output::Output;
 use super::{Failure, Streams};
 use crate::calibration::evidence::{self, CalibrationFailure};
 use crate::calibration::trial::Gating;
@@ -48,21 +47,15 @@ pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> 
             CalibrationFailure::Input(error) => Failure::input(error),
             CalibrationFailure::Refused(refusal) => Failure::Refused(remedy::calibration(&refusal)),
         })?;
-    save(&calibration, arguments)?;
+    let mut file = Output::open(Some(&arguments.output), streams.data)?;
+    calibration_file::write(&calibration, &mut file)?;
+    file.finish()?;
     if arguments.json {
         calibration_file::write(&calibration, &mut *streams.data)?;
-    } else {
-        summarise(&calibration, streams.data)?;
     }
+    summarise(&calibration, streams.words)?;
     writeln!(streams.words, "written to {}", shown(&arguments.output))?;
     Ok(())
-}
-
-fn save(calibration: &Calibration, arguments: &Arguments) -> anyhow::Result<()> {
-    let cannot_write = || format!("{}: cannot be written", shown(&arguments.output));
-    let mut file = BufWriter::new(File::create(&arguments.output).with_context(cannot_write)?);
-    calibration_file::write(calibration, &mut file).with_context(cannot_write)?;
-    file.flush().with_context(cannot_write)
 }
 
 /// Writes a summary that a person can read.
@@ -84,8 +77,16 @@ pub fn summarise(calibration: &Calibration, out: &mut dyn Write) -> io::Result<(
         write!(out, " {counts:12.1}")?;
     }
     writeln!(out, " counts")?;
-    if calibration.bias == BiasOrigin::TakenAsZero {
-        writeln!(out, "the bias is taken as zero: the known loads do not determine it")?;
+    match calibration.bias {
+        BiasOrigin::Estimated => {}
+        BiasOrigin::OfMotion => {
+            writeln!(out, "the bias is that of the trials' motion: the known loads do not determine it")?;
+        }
+        BiasOrigin::TakenAsZero => writeln!(
+            out,
+            "CAUTION: the bias is taken as zero, since neither the known loads nor any motion determine it; add the \
+             opposite of one known load"
+        )?,
     }
     writeln!(out, "handedness proven; fusion residual {:.3} %", 100.0 * calibration.fusion_residual)?;
     for trial in &calibration.trials {

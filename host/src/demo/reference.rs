@@ -50,7 +50,7 @@ pub fn calibrate(
             }],
         });
     }
-    Ok(least_squares::calibrate(dof, GRAVITY, &cases)?)
+    Ok(least_squares::calibrate(dof, GRAVITY, &cases, None)?)
 }
 
 /// Arms change with every load, masses with every round of the arms.

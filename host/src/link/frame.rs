@@ -47,6 +47,8 @@ pub enum NoWrench {
     Saturated(u16),
     /// The converter is at fault.
     Adc(AdcFault),
+    /// The gain was changed since the calibration was uploaded.
+    GainChanged,
     /// It was made with a calibration that the host knows nothing of, so that its axes are unknown.
     UnknownCalibration(u32),
     /// A component is not finite: the calibration's numbers are too large for these codes.
@@ -98,6 +100,7 @@ impl WrenchSample {
                 InvalidCause::Uncalibrated => NoWrench::Uncalibrated,
                 InvalidCause::Saturated(channels) => NoWrench::Saturated(channels),
                 InvalidCause::Adc(fault) => NoWrench::Adc(fault),
+                InvalidCause::GainChanged => NoWrench::GainChanged,
             }),
             Measurement::Valid { wrench, calibration } => match known {
                 Some(known) if known.identity == calibration => {

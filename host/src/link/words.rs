@@ -68,6 +68,11 @@ pub fn no_wrench(cause: NoWrench) -> String {
             )
         }
         NoWrench::Adc(fault) => format!("{}. {}", adc_fault(fault), remedy::of_adc_fault(fault)),
+        NoWrench::GainChanged => {
+            "the gain was changed since the calibration was uploaded, so its counts are of another \
+                                  size; set the gain back, or calibrate at this one"
+                .into()
+        }
         NoWrench::UnknownCalibration(identity) => {
             format!("the calibration {identity:08x} came into use meanwhile; start the stream again")
         }

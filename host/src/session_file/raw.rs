@@ -14,7 +14,7 @@ use super::{Rest, STANDARD_GRAVITY, SessionKnownLoad, SessionTrial, Turning, pla
 /// Gravity, mass and arm outside these are slips of the unit, not sensors; m/s², kg and m.
 const GRAVITY: std::ops::RangeInclusive<f64> = 1.0..=30.0;
 const MASS_KG: std::ops::RangeInclusive<f64> = 1e-6..=1e5;
-const LONGEST_ARM_M: f64 = 100.0;
+const LONGEST_ARM_M: f64 = 5.0;
 
 /// Of a direction whose accuracy nobody states: set up by eye.
 const ASSUMED_ACCURACY_DEG: f64 = 1.0;

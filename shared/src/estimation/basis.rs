@@ -18,6 +18,14 @@ const LEAST_GAP: f64 = 10.0;
 /// Variance of the rounding to whole codes, counts²: no eigenvalue says anything below it.
 pub const QUANTISATION_VARIANCE: f64 = 1.0 / 12.0;
 
+/// The most that the first redundant eigenvalue may exceed the second before it is no noise. The noise of channels may
+/// differ, but not by ten times in amplitude.
+const LARGEST_REDUNDANT_RATIO: f64 = 100.0;
+
+/// The largest share, in amplitude, of a direction beyond the rank that a linear sensor may have: a sensor that is linear
+/// to a hundredth. Below it, an error of the answer is that small, too.
+const LARGEST_EXCESS_SHARE: f64 = 0.01;
+
 /// The least r-th eigenvalue, relative to the first, that counts as a direction of its own.
 ///
 /// Where one direction's signal is κ times weaker than another's, its moment of degree four is κ⁴ times smaller and
@@ -42,7 +50,8 @@ pub struct Basis<const GAGES: usize, const RANK: usize> {
 ///
 /// [`Refusal::UnsupportedDimensions`] for a rank other than 2 or 3, or above the number of gages;
 /// [`Refusal::NonFinite`]; [`Refusal::RankNotReached`] where the codes span fewer than r directions;
-/// [`Refusal::NoEigenvalueGap`] where the r-th direction cannot be told from noise.
+/// [`Refusal::NoEigenvalueGap`] where the r-th direction cannot be told from noise; [`Refusal::RankExceeded`] where a
+/// further direction is no noise: a rank that is too low, a channel that clips, a sensor that is not linear.
 pub fn basis<const GAGES: usize, const RANK: usize>(
     covariance: &SMatrix<f64, GAGES, GAGES>,
     samples: u64,
@@ -65,6 +74,14 @@ pub fn basis<const GAGES: usize, const RANK: usize>(
         if ratio < LEAST_GAP {
             #[expect(clippy::cast_possible_truncation, reason = "a report of three digits")]
             return Err(Refusal::NoEigenvalueGap { ratio: ratio as f32, need: LEAST_GAP as f32 });
+        }
+    }
+    if GAGES > RANK + 1 {
+        let next = eigenvalues[RANK + 1].max(QUANTISATION_VARIANCE);
+        let share = libm::sqrt(eigenvalues[RANK] / eigenvalues[RANK - 1]);
+        if eigenvalues[RANK] > LARGEST_REDUNDANT_RATIO * next && share > LARGEST_EXCESS_SHARE {
+            #[expect(clippy::cast_possible_truncation, reason = "a report of three digits")]
+            return Err(Refusal::RankExceeded { share: share as f32, limit: LARGEST_EXCESS_SHARE as f32 });
         }
     }
     Ok(Basis {

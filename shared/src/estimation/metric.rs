@@ -18,6 +18,10 @@ use crate::refusal::Refusal;
 /// A gain's relative standard deviation is half of this: a motion that cannot fix a gain within 5 % is refused.
 const LARGEST_RELATIVE_UNCERTAINTY: f64 = 0.1;
 
+/// The largest standard deviation of the load's magnitude, relative and beyond noise, that still is one constant load:
+/// twice what a hand that never rests does to it.
+const LARGEST_SCATTER: f64 = 0.1;
+
 /// The least eigenvalue of the normal matrix that is not rounding: whitened coordinates are of order one, and the
 /// moments of degree four carry relative errors up to 10⁻⁶.
 const LEAST_NORMAL_EIGENVALUE: f64 = 1e-5;
@@ -40,7 +44,8 @@ pub struct Metric<const RANK: usize> {
 /// # Errors
 ///
 /// [`Refusal::NonFinite`]; [`Refusal::MotionDoesNotSpan`] where the directions of the load do not determine every
-/// coefficient; [`Refusal::MetricNotPositiveDefinite`] where the surface is no ellipsoid.
+/// coefficient; [`Refusal::MetricNotPositiveDefinite`] where the surface is no ellipsoid;
+/// [`Refusal::MagnitudeNotConstant`] where the motion does not lie on it.
 pub fn metric<const RANK: usize>(
     moments: &MotionMoments<RANK>,
     noise: &SVector<f64, RANK>,
@@ -74,7 +79,14 @@ pub fn metric<const RANK: usize>(
     let centre = quadratic_factor.solve(&linear) * -0.5;
     // xᵀQx + gᵀx = 1 about its centre: (x − c)ᵀQ(x − c) = 1 + cᵀQc.
     let level = 1.0 + centre.dot(&(quadratic * centre));
-    Ok(Metric { matrix: quadratic / level, centre, unexplained: unexplained / (level * level) })
+    let unexplained = unexplained / (level * level);
+    // The magnitude's standard deviation is half of that of its square, which should be one.
+    let scatter = libm::sqrt(unexplained) / 2.0;
+    if scatter > LARGEST_SCATTER {
+        #[expect(clippy::cast_possible_truncation, reason = "a report of three digits")]
+        return Err(Refusal::MagnitudeNotConstant { scatter: scatter as f32, limit: LARGEST_SCATTER as f32 });
+    }
+    Ok(Metric { matrix: quadratic / level, centre, unexplained })
 }
 
 /// Every principal value of Q must stand clear of its own uncertainty; a negative one that does is no ellipsoid.

@@ -163,4 +163,6 @@ pub enum InvalidCause {
     Saturated(u16),
     /// The converter is at fault.
     Adc(AdcFault),
+    /// The converter's gain was changed since the calibration was uploaded: its counts are of another size now.
+    GainChanged,
 }

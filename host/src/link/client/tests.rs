@@ -201,6 +201,14 @@ fn wrenches_are_read_with_the_calibration_in_use() {
         assert!((f64::from(*component) - counts).abs() < 8.0 * noise + 1.0);
     }
 
+    // Counts at another gain are of another size: the calibration no longer holds, until the gain is set back.
+    client.configure_adc(DataRate::Hz1000, Gain::X64).expect("the converter starts");
+    client.stream(StreamKind::Wrench).expect("answers");
+    assert_eq!(next(&mut client), Measured::Invalid(NoWrench::GainChanged));
+    client.configure_adc(DataRate::Hz1000, Gain::X128).expect("the converter starts");
+    client.stream(StreamKind::Wrench).expect("answers");
+    assert!(matches!(next(&mut client), Measured::Valid(_)));
+
     let saturated = Fault::SaturatedChannel { channel: 2, rail: Rail::High };
     client.line().bench().with(|bench| bench.inject(saturated));
     client.wait(Duration::from_millis(20)).expect("virtual time passes");
