@@ -8,10 +8,11 @@
 //!
 //! * Count, sum and Gram matrix are **exact integers**: the noise stands 10⁻⁶ … 10⁻⁸ below the signal's variance, and
 //!   the redundant eigenvalues that measure it must survive. A difference of two 24-bit codes has 25 bits, a product
-//!   at most 2⁴⁸; a block of 1024 products stays below 2⁵⁸ in an `i64`, and blocks add up in an `i128`.
+//!   at most 2⁴⁸; a block of 8192 products stays within 2⁶¹ in an `i64`, and blocks add up in an `i128`.
 //! * Sums of degree 3 and 4 need a relative accuracy of 10⁻⁶ only, times the fourth power of how far from round the
 //!   shape is. They are added in `f32`, with compensation for what each addition rounds away (Kahan), and in `f64`
-//!   across blocks. What remains is the rounding of the products themselves, about 5·10⁻⁸ of a batch and independent
+//!   across blocks: the error of a compensated sum does not grow with the 1024 batches of a block (Kahan's bound is
+//!   2u + O(N u²), u = 2⁻²⁴, so that the second term is 10⁻⁴ of the first). What remains is the rounding of the products themselves, about 5·10⁻⁸ of a batch and independent
 //!   from batch to batch: 5·10⁻⁸/√(n/8) of the sum.
 //!
 //! # Speed
@@ -32,8 +33,13 @@ use crate::units::AdcCode;
 /// Samples absorbed at once.
 pub const BATCH: usize = 8;
 
-/// Batches added up in `f32` and `i64` before they are spilled into `f64` and `i128`.
-const BATCHES_PER_BLOCK: u8 = 128;
+/// Samples added up in `f32` and `i64` before they are spilled into `f64` and `i128`. The sensor has no `f64` in
+/// hardware, so that a spill costs as much as 50 samples; at this length it is a trifle.
+pub const BLOCK: usize = 8192;
+
+/// The same in batches.
+#[expect(clippy::cast_possible_truncation, reason = "1024")]
+const BATCHES_PER_BLOCK: u16 = (BLOCK / BATCH) as u16;
 
 /// The most samples that one accumulator takes: 36 hours at 32 000 samples/s.
 ///
@@ -68,7 +74,7 @@ pub struct Moments<const GAGES: usize, const HIGHER: usize> {
 /// The sums since the last spill.
 #[derive(Clone, Debug)]
 struct Block<const GAGES: usize, const HIGHER: usize> {
-    batches: u8,
+    batches: u16,
     gram: [[i64; GAGES]; GAGES],
     higher: [Compensated; HIGHER],
 }
