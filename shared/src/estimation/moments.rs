@@ -18,7 +18,8 @@
 //! # Speed
 //!
 //! Samples are absorbed in batches of [`BATCH`], so that each accumulator is loaded and stored once a batch. A batch
-//! that is not full holds zeros, which add nothing to any sum.
+//! that is settled before it is full is filled up with zeros, which add nothing to any sum. `tests/speed` counts the
+//! instructions on the target.
 //!
 //! # Algebra
 //!
@@ -28,7 +29,7 @@
 use nalgebra::{SMatrix, SVector};
 
 use crate::refusal::Refusal;
-use crate::units::AdcCode;
+use crate::units::{AdcCode, MAX_GAGES};
 
 /// Samples absorbed at once.
 pub const BATCH: usize = 8;
@@ -51,6 +52,11 @@ pub const fn higher_moment_count(gages: usize) -> usize {
     let cubic = gages * (gages + 1) * (gages + 2) / 6;
     let quartic = gages * (gages + 1) * (gages + 2) * (gages + 3) / 24;
     cubic + quartic
+}
+
+/// The number of products of two of so many channels.
+const fn pair_count(gages: usize) -> usize {
+    gages * (gages + 1) / 2
 }
 
 /// The sums of one trial over `GAGES` channels, about an integer pivot.
@@ -107,10 +113,26 @@ impl Compensated {
 struct Batch<const GAGES: usize> {
     samples: usize,
     difference: [[i32; BATCH]; GAGES],
+    /// The same in single precision. At most 25 bits: rounded by 2⁻²⁵ of its value, far below what degree 3 and 4 need.
+    rounded: [[f32; BATCH]; GAGES],
+}
+
+impl<const GAGES: usize> Batch<GAGES> {
+    const EMPTY: Self =
+        Self { samples: 0, difference: [[0; BATCH]; GAGES], rounded: [[0.0; BATCH]; GAGES] };
+
+    /// Puts zeros where no sample is yet: what the batch before has left there.
+    fn clear_rest(&mut self) {
+        for (channel, rounded) in self.difference.iter_mut().zip(&mut self.rounded) {
+            channel[self.samples..].fill(0);
+            rounded[self.samples..].fill(0.0);
+        }
+    }
 }
 
 impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
-    const DIMENSIONS_AGREE: () = assert!(HIGHER == higher_moment_count(GAGES) && GAGES >= 2);
+    const DIMENSIONS_AGREE: () =
+        assert!(HIGHER == higher_moment_count(GAGES) && 2 <= GAGES && GAGES <= MAX_GAGES);
 
     /// An empty accumulator about `pivot`.
     pub const fn new(pivot: [AdcCode; GAGES]) -> Self {
@@ -122,7 +144,7 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
             gram: [[0; GAGES]; GAGES],
             higher: [0.0; HIGHER],
             block: Block { batches: 0, gram: [[0; GAGES]; GAGES], higher: [Compensated::ZERO; HIGHER] },
-            batch: Batch { samples: 0, difference: [[0; BATCH]; GAGES] },
+            batch: Batch::EMPTY,
         }
     }
 
@@ -136,8 +158,7 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
         self.block.batches = 0;
         self.block.gram = [[0; GAGES]; GAGES];
         self.block.higher = [Compensated::ZERO; HIGHER];
-        self.batch.samples = 0;
-        self.batch.difference = [[0; BATCH]; GAGES];
+        self.batch = Batch::EMPTY;
     }
 
     /// The codes about which the sums are taken.
@@ -161,7 +182,9 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
         }
         let slot = self.batch.samples;
         for gage in 0..GAGES {
-            self.batch.difference[gage][slot] = codes[gage].counts() - self.pivot[gage].counts();
+            let difference = codes[gage].counts() - self.pivot[gage].counts();
+            self.batch.difference[gage][slot] = difference;
+            self.batch.rounded[gage][slot] = difference as f32;
         }
         self.count += 1;
         self.batch.samples += 1;
@@ -204,6 +227,7 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
     /// in more samples afterwards is fine.
     pub fn settle(&mut self) {
         if self.batch.samples > 0 {
+            self.batch.clear_rest();
             self.absorb_batch();
         }
         self.spill_block();
@@ -250,13 +274,10 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
     }
 
     fn absorb_batch(&mut self) {
-        let lanes: [[f32; BATCH]; GAGES] = self.batch.difference.map(|channel| {
-            // At most 25 bits: rounded by 2⁻²⁵ of its value, far below what degree 3 and 4 need.
-            channel.map(|difference| difference as f32)
-        });
         for i in 0..GAGES {
             let left = &self.batch.difference[i];
-            self.sum[i] += left.iter().map(|&difference| i64::from(difference)).sum::<i64>();
+            // Eight differences of 25 bits have 28.
+            self.sum[i] += i64::from(left.iter().sum::<i32>());
             for j in i..GAGES {
                 let right = &self.batch.difference[j];
                 let mut products = 0_i64;
@@ -266,10 +287,9 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
                 self.block.gram[i][j] += products;
             }
         }
-        add_higher_monomials(&lanes, &mut self.block.higher);
+        add_higher_monomials(&self.batch.rounded, &mut self.block.higher);
 
         self.batch.samples = 0;
-        self.batch.difference = [[0; BATCH]; GAGES];
         self.block.batches += 1;
         if self.block.batches == BATCHES_PER_BLOCK {
             self.spill_block();
@@ -292,23 +312,34 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
 }
 
 /// Adds the batch's monomials of degree 3 and 4 to `sums`, in the order of [`for_each_higher_monomial`].
-fn add_higher_monomials<const GAGES: usize>(lanes: &[[f32; BATCH]; GAGES], sums: &mut [Compensated]) {
-    let mut sums = sums.iter_mut();
+///
+/// Every one is a pair of channels times a channel, or times a pair. With the pairs at hand, all that extend one pair are
+/// two runs without a gap, which keeps the innermost loop long: it is most of all the work.
+fn add_higher_monomials<const GAGES: usize>(lanes: &[[f32; BATCH]; GAGES], mut sums: &mut [Compensated]) {
+    let mut pairs = heapless::Vec::<[f32; BATCH], { pair_count(MAX_GAGES) }>::new();
+    for i in 0..GAGES {
+        // There is room for all, see `DIMENSIONS_AGREE`.
+        pairs.extend(lanes[i..].iter().map(|right| product(&lanes[i], right)));
+    }
+    let mut position = 0;
     for i in 0..GAGES {
         for j in i..GAGES {
-            let pair = product(&lanes[i], &lanes[j]);
-            for k in j..GAGES {
-                let triple = product(&pair, &lanes[k]);
-                if let Some(sum) = sums.next() {
-                    sum.add(total(&triple));
-                }
-                for right in &lanes[k..] {
-                    if let Some(sum) = sums.next() {
-                        sum.add(total(&product(&triple, right)));
-                    }
-                }
-            }
+            let channels = &lanes[j..];
+            let pairs_from_j = &pairs[pair_count(GAGES) - pair_count(channels.len())..];
+            let Some((cubic, rest)) = sums.split_at_mut_checked(channels.len()) else { return };
+            let Some((quartic, rest)) = rest.split_at_mut_checked(pairs_from_j.len()) else { return };
+            add_products(&pairs[position], channels, cubic);
+            add_products(&pairs[position], pairs_from_j, quartic);
+            sums = rest;
+            position += 1;
         }
+    }
+}
+
+#[inline]
+fn add_products(left: &[f32; BATCH], rights: &[[f32; BATCH]], sums: &mut [Compensated]) {
+    for (sum, right) in sums.iter_mut().zip(rights) {
+        sum.add(total(&product(left, right)));
     }
 }
 
@@ -333,13 +364,15 @@ pub(crate) enum HigherMonomial {
     Quartic([usize; 4]),
 }
 
-/// Visits every monomial of degree 3 and 4 in the order in which [`Moments`] stores their sums: each cubic is followed
-/// by the quartics that extend it.
+/// Visits every monomial of degree 3 and 4 in the order in which [`Moments`] stores their sums: by their first two
+/// channels, the cubics before the quartics.
 pub(crate) fn for_each_higher_monomial(gages: usize, mut visit: impl FnMut(HigherMonomial)) {
     for i in 0..gages {
         for j in i..gages {
             for k in j..gages {
                 visit(HigherMonomial::Cubic([i, j, k]));
+            }
+            for k in j..gages {
                 for l in k..gages {
                     visit(HigherMonomial::Quartic([i, j, k, l]));
                 }
