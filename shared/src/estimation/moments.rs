@@ -54,9 +54,9 @@ pub const fn higher_moment_count(gages: usize) -> usize {
     cubic + quartic
 }
 
-/// The number of products of two of so many channels.
-const fn pair_count(gages: usize) -> usize {
-    gages * (gages + 1) / 2
+/// The number of channels and of products of two of them.
+const fn factor_count(gages: usize) -> usize {
+    gages + gages * (gages + 1) / 2
 }
 
 /// The sums of one trial over `GAGES` channels, about an integer pivot.
@@ -118,8 +118,7 @@ struct Batch<const GAGES: usize> {
 }
 
 impl<const GAGES: usize> Batch<GAGES> {
-    const EMPTY: Self =
-        Self { samples: 0, difference: [[0; BATCH]; GAGES], rounded: [[0.0; BATCH]; GAGES] };
+    const EMPTY: Self = Self { samples: 0, difference: [[0; BATCH]; GAGES], rounded: [[0.0; BATCH]; GAGES] };
 
     /// Puts zeros where no sample is yet: what the batch before has left there.
     fn clear_rest(&mut self) {
@@ -313,33 +312,26 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
 
 /// Adds the batch's monomials of degree 3 and 4 to `sums`, in the order of [`for_each_higher_monomial`].
 ///
-/// Every one is a pair of channels times a channel, or times a pair. With the pairs at hand, all that extend one pair are
-/// two runs without a gap, which keeps the innermost loop long: it is most of all the work.
+/// Every one is a pair of channels times a channel or another pair. These second factors stand in a list, by their first
+/// channel, each channel before the pairs that it begins: all that extend one pair are then one run without a gap, to the
+/// end of the list. That keeps the innermost loop, which is most of all the work, long.
 fn add_higher_monomials<const GAGES: usize>(lanes: &[[f32; BATCH]; GAGES], mut sums: &mut [Compensated]) {
-    let mut pairs = heapless::Vec::<[f32; BATCH], { pair_count(MAX_GAGES) }>::new();
-    for i in 0..GAGES {
+    let mut factors = heapless::Vec::<[f32; BATCH], { factor_count(MAX_GAGES) }>::new();
+    for k in 0..GAGES {
         // There is room for all, see `DIMENSIONS_AGREE`.
-        pairs.extend(lanes[i..].iter().map(|right| product(&lanes[i], right)));
+        factors.extend([lanes[k]]);
+        factors.extend(lanes[k..].iter().map(|right| product(&lanes[k], right)));
     }
-    let mut position = 0;
     for i in 0..GAGES {
         for j in i..GAGES {
-            let channels = &lanes[j..];
-            let pairs_from_j = &pairs[pair_count(GAGES) - pair_count(channels.len())..];
-            let Some((cubic, rest)) = sums.split_at_mut_checked(channels.len()) else { return };
-            let Some((quartic, rest)) = rest.split_at_mut_checked(pairs_from_j.len()) else { return };
-            add_products(&pairs[position], channels, cubic);
-            add_products(&pairs[position], pairs_from_j, quartic);
+            let pair = product(&lanes[i], &lanes[j]);
+            let run = &factors[factors.len() - factor_count(GAGES - j)..];
+            let Some((extended, rest)) = sums.split_at_mut_checked(run.len()) else { return };
+            for (sum, factor) in extended.iter_mut().zip(run) {
+                sum.add(total(&product(&pair, factor)));
+            }
             sums = rest;
-            position += 1;
         }
-    }
-}
-
-#[inline]
-fn add_products(left: &[f32; BATCH], rights: &[[f32; BATCH]], sums: &mut [Compensated]) {
-    for (sum, right) in sums.iter_mut().zip(rights) {
-        sum.add(total(&product(left, right)));
     }
 }
 
@@ -364,15 +356,13 @@ pub(crate) enum HigherMonomial {
     Quartic([usize; 4]),
 }
 
-/// Visits every monomial of degree 3 and 4 in the order in which [`Moments`] stores their sums: by their first two
-/// channels, the cubics before the quartics.
+/// Visits every monomial of degree 3 and 4 in the order in which [`Moments`] stores their sums: each cubic is followed
+/// by the quartics that extend it.
 pub(crate) fn for_each_higher_monomial(gages: usize, mut visit: impl FnMut(HigherMonomial)) {
     for i in 0..gages {
         for j in i..gages {
             for k in j..gages {
                 visit(HigherMonomial::Cubic([i, j, k]));
-            }
-            for k in j..gages {
                 for l in k..gages {
                     visit(HigherMonomial::Quartic([i, j, k, l]));
                 }

@@ -25,7 +25,9 @@ pub fn error_over_bound<const GAGES: usize, const HIGHER: usize, const RANK: usi
         let sensor: KnownSensor<GAGES, RANK> = setting.sensor(&mut rng);
         let mut information = Information::new(&sensor);
         let codes = trial(&sensor, setting.samples, &mut rng, |direction| information.add(direction));
-        let Ok(answer) = solve_trial::<GAGES, HIGHER, RANK>(&moments_of(&codes)) else { return f64::INFINITY };
+        let Ok(answer) = solve_trial::<GAGES, HIGHER, RANK>(&moments_of(&codes)) else {
+            return f64::INFINITY;
+        };
         squared_error += Comparison::new(&sensor, &answer).shape_error.norm_squared();
         least += information.least_shape_error();
     }

@@ -76,7 +76,11 @@ const DEGENERATE: [fn(Motion, u64) -> Outcome; 6] = [
 /// Numbers of joint fusion, of the refinement and of the gate, none of which can be called yet.
 const NOT_MEASURED: [(&str, Required, &str); 8] = [
     ("refined on the host, error ÷ bound, condition 4, σ = 1 %", Required::AtMost(1.04), "no refinement"),
-    ("refined on the host, any other row, error ÷ that of the device", Required::AtMost(1.0), "no refinement"),
+    (
+        "refined on the host, any other row, error ÷ that of the device",
+        Required::AtMost(1.0),
+        "no refinement",
+    ),
     ("wrench error, staged ÷ joint, σ = 0.2 %, arms 5 and 15 cm", Required::AtLeast(4.0), "no joint fusion"),
     ("joint with rough directions (30° off), right of 500", Required::AtLeast(500.0), "no joint fusion"),
     ("wrong answers, degenerate arms and loads", Required::AtMost(0.0), "no joint fusion"),
