@@ -249,3 +249,17 @@ fn a_sensor_at_rest_is_refused() {
     let constant = vec![[AdcCode::new(1000).unwrap(); 8]; 1000];
     assert!(matches!(solve_wrist(&constant), Err(Refusal::RankNotReached { have: 0, need: 3 })));
 }
+
+/// With as many gages as directions nothing redundant tells the noise, and noise alone fills a ball that is no worse a fit
+/// for an ellipsoid than any.
+#[test]
+fn noise_is_not_taken_for_a_motion_where_nothing_redundant_tells_it() {
+    for seed in 0..20 {
+        let mut rng = random(seed);
+        let sensor = KnownSensor::<3, 3>::random(&mut rng, 300_000.0, 300.0);
+        let rest: Vec<_> = (0..1000).map(|_| sensor.codes(&Vector3::z(), &mut rng)).collect();
+        assert!(solve_trial::<3, 25, 3>(&moments_of(&rest)).is_err());
+        let turning = sensor.trial(1000, &mut rng);
+        assert!(solve_trial::<3, 25, 3>(&moments_of(&turning)).is_ok());
+    }
+}

@@ -89,6 +89,43 @@ pub fn metric<const RANK: usize>(
     Ok(Metric { matrix: quadratic / level, centre, unexplained })
 }
 
+/// Where nothing redundant tells the noise (p = r), the answer must not hinge on it.
+///
+/// The moments then carry noise of unknown variance σ² in every channel, ν_k = σ²/λ_k in whitened coordinate k, and pull the
+/// ellipsoid with them: the more, the less of it the motion covers, until noise alone, of a load that never moved, looks
+/// like a motion. But noise cannot hide: to first order it leaves a variance of Σ ν_k ⟨(∂/∂x_k)²⟩ of (x − c)ᵀM(x − c)
+/// unexplained, with the gradient 2M(x − c). All that is unexplained, taken for noise, gives the most that σ² can be; solved
+/// with that much noise taken out, the ellipsoid must stay where it was, by the measure that its own statistical
+/// uncertainty must meet.
+///
+/// # Errors
+///
+/// [`Refusal::MotionDoesNotSpan`] with the largest relative change of a principal value, or of the centre.
+pub fn require_indifference_to_noise<const RANK: usize>(
+    moments: &MotionMoments<RANK>,
+    variances: &SVector<f64, RANK>,
+    found: &Metric<RANK>,
+    samples: u64,
+) -> Result<(), Refusal> {
+    let m = &found.matrix;
+    let about_centre =
+        SMatrix::<f64, RANK, RANK>::from_fn(|a, b| moments.second[a][b] + found.centre[a] * found.centre[b]);
+    let squared_gradient = (m * about_centre * m * 4.0).diagonal();
+    let shares = variances.map(|variance| 1.0 / variance);
+    let most = found.unexplained / squared_gradient.dot(&shares);
+    let other = metric(moments, &(shares * most), samples)?;
+
+    // In coordinates in which the ellipsoid found is the unit sphere.
+    let factor = Cholesky::new(found.matrix).ok_or(Refusal::MetricNotPositiveDefinite)?;
+    let half = factor.l().solve_lower_triangular(&other.matrix).ok_or(Refusal::NonFinite)?;
+    let relative = factor.l().solve_lower_triangular(&half.transpose()).ok_or(Refusal::NonFinite)?;
+    let values = symmetric_eigen(&relative)?.values.map(|value| (value - 1.0).abs());
+    let shift = (factor.l().transpose() * (other.centre - found.centre)).norm();
+    // A gain changes by half of what its square does.
+    let change = values.max().max(2.0 * shift);
+    if change > LARGEST_RELATIVE_UNCERTAINTY { Err(does_not_span(change)) } else { Ok(()) }
+}
+
 /// Every principal value of Q must stand clear of its own uncertainty; a negative one that does is no ellipsoid.
 fn require_determined<const RANK: usize>(
     quadratic: &SMatrix<f64, RANK, RANK>,

@@ -8,16 +8,18 @@
 //!
 //! * Count, sum and Gram matrix are **exact integers**: the noise stands 10⁻⁶ … 10⁻⁸ below the signal's variance, and
 //!   the redundant eigenvalues that measure it must survive. A difference of two 24-bit codes has 25 bits, a product
-//!   at most 2⁴⁸; a block of 1024 products stays below 2⁵⁸ in an `i64`, and blocks add up in an `i128`.
+//!   at most 2⁴⁸; a block of 8192 products stays within 2⁶¹ in an `i64`, and blocks add up in an `i128`.
 //! * Sums of degree 3 and 4 need a relative accuracy of 10⁻⁶ only, times the fourth power of how far from round the
 //!   shape is. They are added in `f32`, with compensation for what each addition rounds away (Kahan), and in `f64`
-//!   across blocks. What remains is the rounding of the products themselves, about 5·10⁻⁸ of a batch and independent
+//!   across blocks: the error of a compensated sum does not grow with the 1024 batches of a block (Kahan's bound is
+//!   2u + O(N u²), u = 2⁻²⁴, so that the second term is 10⁻⁴ of the first). What remains is the rounding of the products themselves, about 5·10⁻⁸ of a batch and independent
 //!   from batch to batch: 5·10⁻⁸/√(n/8) of the sum.
 //!
 //! # Speed
 //!
 //! Samples are absorbed in batches of [`BATCH`], so that each accumulator is loaded and stored once a batch. A batch
-//! that is not full holds zeros, which add nothing to any sum.
+//! that is settled before it is full is filled up with zeros, which add nothing to any sum. `tests/speed` counts the
+//! instructions on the target.
 //!
 //! # Algebra
 //!
@@ -27,13 +29,18 @@
 use nalgebra::{SMatrix, SVector};
 
 use crate::refusal::Refusal;
-use crate::units::AdcCode;
+use crate::units::{AdcCode, MAX_GAGES};
 
 /// Samples absorbed at once.
 pub const BATCH: usize = 8;
 
-/// Batches added up in `f32` and `i64` before they are spilled into `f64` and `i128`.
-const BATCHES_PER_BLOCK: u8 = 128;
+/// Samples added up in `f32` and `i64` before they are spilled into `f64` and `i128`. The sensor has no `f64` in
+/// hardware, so that a spill costs as much as 50 samples; at this length it is a trifle.
+pub const BLOCK: usize = 8192;
+
+/// The same in batches.
+#[expect(clippy::cast_possible_truncation, reason = "1024")]
+const BATCHES_PER_BLOCK: u16 = (BLOCK / BATCH) as u16;
 
 /// The most samples that one accumulator takes: 36 hours at 32 000 samples/s.
 ///
@@ -45,6 +52,11 @@ pub const fn higher_moment_count(gages: usize) -> usize {
     let cubic = gages * (gages + 1) * (gages + 2) / 6;
     let quartic = gages * (gages + 1) * (gages + 2) * (gages + 3) / 24;
     cubic + quartic
+}
+
+/// The number of channels and of products of two of them.
+const fn factor_count(gages: usize) -> usize {
+    gages + gages * (gages + 1) / 2
 }
 
 /// The sums of one trial over `GAGES` channels, about an integer pivot.
@@ -68,7 +80,7 @@ pub struct Moments<const GAGES: usize, const HIGHER: usize> {
 /// The sums since the last spill.
 #[derive(Clone, Debug)]
 struct Block<const GAGES: usize, const HIGHER: usize> {
-    batches: u8,
+    batches: u16,
     gram: [[i64; GAGES]; GAGES],
     higher: [Compensated; HIGHER],
 }
@@ -101,10 +113,25 @@ impl Compensated {
 struct Batch<const GAGES: usize> {
     samples: usize,
     difference: [[i32; BATCH]; GAGES],
+    /// The same in single precision. At most 25 bits: rounded by 2⁻²⁵ of its value, far below what degree 3 and 4 need.
+    rounded: [[f32; BATCH]; GAGES],
+}
+
+impl<const GAGES: usize> Batch<GAGES> {
+    const EMPTY: Self = Self { samples: 0, difference: [[0; BATCH]; GAGES], rounded: [[0.0; BATCH]; GAGES] };
+
+    /// Puts zeros where no sample is yet: what the batch before has left there.
+    fn clear_rest(&mut self) {
+        for (channel, rounded) in self.difference.iter_mut().zip(&mut self.rounded) {
+            channel[self.samples..].fill(0);
+            rounded[self.samples..].fill(0.0);
+        }
+    }
 }
 
 impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
-    const DIMENSIONS_AGREE: () = assert!(HIGHER == higher_moment_count(GAGES) && GAGES >= 2);
+    const DIMENSIONS_AGREE: () =
+        assert!(HIGHER == higher_moment_count(GAGES) && 2 <= GAGES && GAGES <= MAX_GAGES);
 
     /// An empty accumulator about `pivot`.
     pub const fn new(pivot: [AdcCode; GAGES]) -> Self {
@@ -116,7 +143,7 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
             gram: [[0; GAGES]; GAGES],
             higher: [0.0; HIGHER],
             block: Block { batches: 0, gram: [[0; GAGES]; GAGES], higher: [Compensated::ZERO; HIGHER] },
-            batch: Batch { samples: 0, difference: [[0; BATCH]; GAGES] },
+            batch: Batch::EMPTY,
         }
     }
 
@@ -130,8 +157,7 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
         self.block.batches = 0;
         self.block.gram = [[0; GAGES]; GAGES];
         self.block.higher = [Compensated::ZERO; HIGHER];
-        self.batch.samples = 0;
-        self.batch.difference = [[0; BATCH]; GAGES];
+        self.batch = Batch::EMPTY;
     }
 
     /// The codes about which the sums are taken.
@@ -155,7 +181,9 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
         }
         let slot = self.batch.samples;
         for gage in 0..GAGES {
-            self.batch.difference[gage][slot] = codes[gage].counts() - self.pivot[gage].counts();
+            let difference = codes[gage].counts() - self.pivot[gage].counts();
+            self.batch.difference[gage][slot] = difference;
+            self.batch.rounded[gage][slot] = difference as f32;
         }
         self.count += 1;
         self.batch.samples += 1;
@@ -206,6 +234,7 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
     /// in more samples afterwards is fine.
     pub fn settle(&mut self) {
         if self.batch.samples > 0 {
+            self.batch.clear_rest();
             self.absorb_batch();
         }
         self.spill_block();
@@ -252,13 +281,10 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
     }
 
     fn absorb_batch(&mut self) {
-        let lanes: [[f32; BATCH]; GAGES] = self.batch.difference.map(|channel| {
-            // At most 25 bits: rounded by 2⁻²⁵ of its value, far below what degree 3 and 4 need.
-            channel.map(|difference| difference as f32)
-        });
         for i in 0..GAGES {
             let left = &self.batch.difference[i];
-            self.sum[i] += left.iter().map(|&difference| i64::from(difference)).sum::<i64>();
+            // Eight differences of 25 bits have 28.
+            self.sum[i] += i64::from(left.iter().sum::<i32>());
             for j in i..GAGES {
                 let right = &self.batch.difference[j];
                 let mut products = 0_i64;
@@ -268,10 +294,9 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
                 self.block.gram[i][j] += products;
             }
         }
-        add_higher_monomials(&lanes, &mut self.block.higher);
+        add_higher_monomials(&self.batch.rounded, &mut self.block.higher);
 
         self.batch.samples = 0;
-        self.batch.difference = [[0; BATCH]; GAGES];
         self.block.batches += 1;
         if self.block.batches == BATCHES_PER_BLOCK {
             self.spill_block();
@@ -294,22 +319,26 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
 }
 
 /// Adds the batch's monomials of degree 3 and 4 to `sums`, in the order of [`for_each_higher_monomial`].
-fn add_higher_monomials<const GAGES: usize>(lanes: &[[f32; BATCH]; GAGES], sums: &mut [Compensated]) {
-    let mut sums = sums.iter_mut();
+///
+/// Every one is a pair of channels times a channel or another pair. These second factors stand in a list, by their first
+/// channel, each channel before the pairs that it begins: all that extend one pair are then one run without a gap, to the
+/// end of the list. That keeps the innermost loop, which is most of all the work, long.
+fn add_higher_monomials<const GAGES: usize>(lanes: &[[f32; BATCH]; GAGES], mut sums: &mut [Compensated]) {
+    let mut factors = heapless::Vec::<[f32; BATCH], { factor_count(MAX_GAGES) }>::new();
+    for k in 0..GAGES {
+        // There is room for all, see `DIMENSIONS_AGREE`.
+        factors.extend([lanes[k]]);
+        factors.extend(lanes[k..].iter().map(|right| product(&lanes[k], right)));
+    }
     for i in 0..GAGES {
         for j in i..GAGES {
             let pair = product(&lanes[i], &lanes[j]);
-            for k in j..GAGES {
-                let triple = product(&pair, &lanes[k]);
-                if let Some(sum) = sums.next() {
-                    sum.add(total(&triple));
-                }
-                for right in &lanes[k..] {
-                    if let Some(sum) = sums.next() {
-                        sum.add(total(&product(&triple, right)));
-                    }
-                }
+            let run = &factors[factors.len() - factor_count(GAGES - j)..];
+            let Some((extended, rest)) = sums.split_at_mut_checked(run.len()) else { return };
+            for (sum, factor) in extended.iter_mut().zip(run) {
+                sum.add(total(&product(&pair, factor)));
             }
+            sums = rest;
         }
     }
 }

@@ -5,7 +5,7 @@ use nalgebra::{Cholesky, SMatrix, SVector};
 use super::basis::{Basis, basis};
 use super::directions::DirectionMoments;
 use super::eigen::symmetric_eigen;
-use super::metric::metric;
+use super::metric::{metric, require_indifference_to_noise};
 use super::moments::Moments;
 use super::projection::project;
 use super::uncertainty::{Regressors, TrialUncertainty, predict};
@@ -81,6 +81,9 @@ pub(crate) fn solve_within<const GAGES: usize, const HIGHER: usize, const RANK: 
     let whitened_noise = variances.map(|variance| noise_variance.unwrap_or(0.0) / variance);
     let whitened = project(quiet, &vectors).transformed(&whitening);
     let metric = metric(&whitened, &whitened_noise, samples)?;
+    if noise_variance.is_none() {
+        require_indifference_to_noise(&whitened, &variances, &metric, samples)?;
+    }
 
     // M = LLᵀ makes m = Lᵀ(x − c) a unit vector, so z = b + V*Λ^½L⁻ᵀm: A = L⁻¹ in eq. 11, with Ŝ = Λ^½V*ᵀ.
     let factor = Cholesky::new(metric.matrix).ok_or(Refusal::MetricNotPositiveDefinite)?;

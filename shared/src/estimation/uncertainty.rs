@@ -100,15 +100,29 @@ impl<const RANK: usize> TrialUncertainty<RANK> {
         &self,
         shape: &SMatrix<f64, RANK, GAGES>,
     ) -> SMatrix<f64, RANK, GAGES> {
+        self.turned_shape_deviation(shape, &SMatrix::identity())
+    }
+
+    /// Standard deviations of the elements of `turn · shape`, where `turn` (r × r, orthogonal) brings the shape into an
+    /// orientation given from outside: element (a, gage) of turn·δS gathers the errors of every row of δS.
+    pub fn turned_shape_deviation<const GAGES: usize>(
+        &self,
+        shape: &SMatrix<f64, RANK, GAGES>,
+        turn: &SMatrix<f64, RANK, RANK>,
+    ) -> SMatrix<f64, RANK, GAGES> {
         let gains = SVector::<f64, RANK>::from_fn(|a, _| shape.row(a).norm_squared());
-        SMatrix::from_fn(|a, gage| {
+        SMatrix::from_fn(|row, gage| {
             let mut gradient = Coefficients::zeros();
-            for b in 0..RANK {
-                let turned = 2.0 * gains[a] / (gains[a] + gains[b]);
-                gradient[product_position::<RANK>(a, b)] += turned * shape[(b, gage)];
+            let mut across = 0.0;
+            for a in 0..RANK {
+                for b in 0..RANK {
+                    let turned = 2.0 * gains[a] / (gains[a] + gains[b]);
+                    gradient[product_position::<RANK>(a, b)] += turn[(row, a)] * turned * shape[(b, gage)];
+                    across += turn[(row, a)] * self.across[(a, b)] * turn[(row, b)];
+                }
             }
             let along = gradient.dot(&(self.along * gradient));
-            libm::sqrt((along + self.across[(a, a)] * redundant_share(shape, &gains, gage)).max(0.0))
+            libm::sqrt((along + across * redundant_share(shape, &gains, gage)).max(0.0))
         })
     }
 

@@ -1,0 +1,89 @@
+//! Error of the shape against the Cramér–Rao bound, and predicted against observed standard deviations.
+
+use ftcal_shared::estimation::shape::solve_trial;
+use ftcal_shared::units::AdcCode;
+use ftcal_tests::{KnownSensor, moments_of, random};
+use nalgebra::SVector;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use crate::bound::Information;
+use crate::setting::{Comparison, Setting};
+
+/// Repetitions a row. The ratio of two standard deviations is uncertain by 1/√(2·repetitions), here 1.8 %, so that the most
+/// extreme of 32 coefficients lies within 5 %.
+const REPETITIONS: u64 = 1500;
+
+/// 95 % of a normal distribution lie within so many standard deviations.
+const NINETY_FIVE: f64 = 1.959_964;
+
+/// RMS error of S over the bound: both over random sensors of the setting. Every trial must be solved.
+pub fn error_over_bound<const GAGES: usize, const HIGHER: usize, const RANK: usize>(setting: Setting) -> f64 {
+    let (mut squared_error, mut least) = (0.0, 0.0);
+    for repetition in 0..REPETITIONS {
+        let mut rng = random(repetition);
+        let sensor: KnownSensor<GAGES, RANK> = setting.sensor(&mut rng);
+        let mut information = Information::new(&sensor);
+        let codes = trial(&sensor, setting.samples, &mut rng, |direction| information.add(direction));
+        let Ok(answer) = solve_trial::<GAGES, HIGHER, RANK>(&moments_of(&codes)) else {
+            return f64::INFINITY;
+        };
+        squared_error += Comparison::new(&sensor, &answer).shape_error.norm_squared();
+        least += information.least_shape_error();
+    }
+    (squared_error / least).sqrt()
+}
+
+/// How honest the predictions are.
+#[derive(Clone, Copy, Debug)]
+pub struct Honesty {
+    /// The least ratio of predicted to observed standard deviation of any coefficient.
+    pub least_ratio: f64,
+    /// The largest.
+    pub largest_ratio: f64,
+    /// The share of errors within the predicted 95 % interval.
+    pub covered: f64,
+}
+
+/// Predicted against observed deviations of every coefficient of S and b, of one sensor, in the orientation of the truth.
+/// Observed is the RMS error, so that a bias counts, too.
+pub fn honesty<const GAGES: usize, const HIGHER: usize, const RANK: usize>(setting: Setting) -> Honesty {
+    let mut rng = random(1);
+    let sensor: KnownSensor<GAGES, RANK> = setting.sensor(&mut rng);
+    let coefficients = (RANK + 1) * GAGES;
+    let mut squares = vec![(0.0, 0.0); coefficients];
+    let mut covered = 0_usize;
+    let mut answers = 0_usize;
+    for _ in 0..REPETITIONS {
+        let codes = trial(&sensor, setting.samples, &mut rng, |_| ());
+        let Ok(answer) = solve_trial::<GAGES, HIGHER, RANK>(&moments_of(&codes)) else { continue };
+        answers += 1;
+        for (sum, (error, deviation)) in squares.iter_mut().zip(Comparison::new(&sensor, &answer).errors()) {
+            sum.0 += deviation * deviation;
+            sum.1 += error * error;
+            covered += usize::from(error.abs() <= NINETY_FIVE * deviation);
+        }
+    }
+    let ratios = squares.iter().map(|(predicted, observed)| (predicted / observed).sqrt());
+    Honesty {
+        least_ratio: ratios.clone().fold(f64::INFINITY, f64::min),
+        largest_ratio: ratios.fold(0.0, f64::max),
+        covered: covered as f64 / (coefficients * answers) as f64,
+    }
+}
+
+fn trial<const GAGES: usize, const RANK: usize>(
+    sensor: &KnownSensor<GAGES, RANK>,
+    samples: usize,
+    rng: &mut ChaCha8Rng,
+    mut seen: impl FnMut(&SVector<f64, RANK>),
+) -> Vec<[AdcCode; GAGES]> {
+    (0..samples)
+        .map(|_| {
+            let direction =
+                SVector::<f64, RANK>::from_fn(|_, _| StandardNormal.sample(&mut *rng)).normalize();
+            seen(&direction);
+            sensor.codes(&direction, rng)
+        })
+        .collect()
+}

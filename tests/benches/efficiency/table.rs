@@ -1,0 +1,70 @@
+//! The table: what is required beside what was measured.
+
+use std::fmt;
+
+/// Where a measured number must lie.
+#[derive(Clone, Copy, Debug)]
+pub enum Required {
+    /// At most this.
+    AtMost(f64),
+    /// At least this.
+    AtLeast(f64),
+    /// Between these.
+    Within(f64, f64),
+}
+
+impl Required {
+    fn is_met(self, measured: f64) -> bool {
+        match self {
+            Self::AtMost(most) => measured <= most,
+            Self::AtLeast(least) => measured >= least,
+            Self::Within(least, most) => (least..=most).contains(&measured),
+        }
+    }
+}
+
+impl fmt::Display for Required {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::AtMost(most) => write!(out, "≤ {most}"),
+            Self::AtLeast(least) => write!(out, "≥ {least}"),
+            Self::Within(least, most) => write!(out, "{least} to {most}"),
+        }
+    }
+}
+
+/// Prints rows as they come, in Markdown, and remembers whether any missed its bound.
+#[derive(Debug, Default)]
+pub struct Table {
+    missed: usize,
+}
+
+impl Table {
+    /// Prints the head.
+    pub fn begin() -> Self {
+        println!("| quantity | required | measured | |");
+        println!("|---|---|---|---|");
+        Self::default()
+    }
+
+    /// A row that was measured.
+    pub fn measured(&mut self, quantity: &str, required: Required, measured: f64) {
+        let verdict = if required.is_met(measured) {
+            "met"
+        } else {
+            self.missed += 1;
+            "**missed**"
+        };
+        println!("| {quantity} | {required} | {measured:.3} | {verdict} |");
+    }
+
+    /// A row for which there is nothing to measure yet.
+    pub fn not_measured(&self, quantity: &str, required: Required, missing: &str) {
+        println!("| {quantity} | {required} | not measured: {missing} | |");
+    }
+
+    /// How many of the measured rows missed their bound.
+    pub const fn missed(&self) -> usize {
+        self.missed
+    }
+}
