@@ -172,11 +172,6 @@ pub fn calibration(refusal: &CalibrationRefusal) -> Explained {
             ),
             "Check masses, arms and directions; add known loads until the bias can be estimated, too.",
         ),
-        CalibrationRefusal::TrialUncertain { trial } => Explained::new(
-            "trial-uncertain",
-            format!("trial {}: the motion does not tell how certain the shape is", trial + 1),
-            "Record longer, turning the load through all directions.",
-        ),
         CalibrationRefusal::TurningUnclear { trial, swept } => Explained::new(
             "turning-unclear",
             format!(
@@ -223,6 +218,16 @@ pub fn calibration(refusal: &CalibrationRefusal) -> Explained {
             ),
             "Check every trial's mass, arm (from the origin of the sensor frame to the point the load pulls at, metre) \
              and directions, and that `accuracy_deg` is not too small.",
+        ),
+        CalibrationRefusal::MassesContradict { trial, ratio } => Explained::new(
+            "masses-contradict",
+            format!(
+                "the masses contradict each other: trial {} turned {ratio:.4} times its `mass_kg`, if the others are \
+                 right",
+                trial + 1
+            ),
+            "Weigh again all that hung on the sensor in each trial, the fixture too, and correct `mass_kg`; state \
+             `mass_accuracy_kg` if the scale is rough.",
         ),
         CalibrationRefusal::BiasesDisagree { trial, counts, signal_counts } => Explained::new(
             "biases-disagree",
@@ -306,7 +311,6 @@ mod tests {
     fn calibration_refusals() -> Vec<CalibrationRefusal> {
         let trial = 0;
         vec![
-            CalibrationRefusal::TrialUncertain { trial },
             CalibrationRefusal::NoKnownLoad { trial },
             CalibrationRefusal::KnownLoadsDoNotOrient { trial, loads: 1, uncertainty_deg: f64::INFINITY },
             CalibrationRefusal::KnownLoadsContradict { trial, load: 1, angle_deg: 20.0 },
@@ -318,6 +322,7 @@ mod tests {
             CalibrationRefusal::HandednessNotSettled { trials: vec![0, 2], margin: 0.0, need: 25.0 },
             CalibrationRefusal::TooManyUndecided { trials: vec![0, 1] },
             CalibrationRefusal::TrialsContradict { residual: 0.2, ratio: 30.0 },
+            CalibrationRefusal::MassesContradict { trial, ratio: 1.1 },
             CalibrationRefusal::TooFewArms { have: 2, need: 3 },
             CalibrationRefusal::ArmsEqual { arms: 3, spread_m: 1e-4 },
             CalibrationRefusal::ArmsCollinear { arms: 3 },

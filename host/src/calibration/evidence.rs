@@ -5,7 +5,7 @@ use std::path::Path;
 use super::known_load::{KnownLoad, LoadCase, average};
 use super::motion;
 use super::turning::{Turned, swept};
-use super::{Calibration, CalibrationRefusal, Method, SolvedTrial, least_squares, trial};
+use super::{Calibration, CalibrationRefusal, Method, SolvedTrial, least_squares, staged, trial};
 use crate::place::Place;
 use crate::recording::{Recording, RecordingError, WindowError, shown};
 use crate::session_file::{Rest, Session, SessionError, SessionTrial};
@@ -81,12 +81,16 @@ impl From<CalibrationRefusal> for CalibrationFailure {
 pub fn calibrate(session: &Session, method: Method) -> Result<Calibration, CalibrationFailure> {
     let mut reader = Reader { session, gages: None };
     match method {
-        Method::Sfm => {
+        Method::Sfm | Method::SfmPaper => {
             let mut trials = Vec::with_capacity(session.trials.len());
             for (index, trial) in session.trials.iter().enumerate() {
                 trials.push(reader.solved(index, trial)?);
             }
-            Ok(super::calibrate(session.dof, session.gravity, &trials)?)
+            let (dof, gravity) = (session.dof, session.gravity);
+            Ok(match method {
+                Method::SfmPaper => staged::calibrate(dof, gravity, &trials)?,
+                _ => super::calibrate(dof, gravity, &trials)?,
+            })
         }
         Method::LeastSquares => {
             let mut cases = Vec::with_capacity(session.trials.len());
@@ -125,11 +129,15 @@ impl Reader<'_> {
         let recording = opened.insert(self.open(&trial.recording, trial.place)?);
         let refused = |refusal| CalibrationRefusal::Trial { trial: index, refusal };
         let shape = trial::solve(recording, self.session.dof.trial_rank()).map_err(refused)?;
-        let motion = motion::recover(recording, &shape).map_err(refused)?;
-        let uncertainty = motion.uncertainty().ok_or(CalibrationRefusal::TrialUncertain { trial: index })?;
-        let turned = trial.turning.map(|claimed| Turned { claimed, swept: swept(&motion) });
+        let turned = match trial.turning {
+            Some(claimed) => {
+                let motion = motion::recover(recording, &shape).map_err(refused)?;
+                Some(Turned { claimed, swept: swept(&motion) })
+            }
+            None => None,
+        };
         let case = self.case(index, trial, &mut opened)?;
-        Ok(SolvedTrial { case, shape, uncertainty, turned })
+        Ok(SolvedTrial { case, shape, turned })
     }
 
     /// What hung on the sensor. The trial's recording is opened where a window of it is asked for and nobody has yet.
@@ -164,6 +172,13 @@ impl Reader<'_> {
         }
         let folder = self.session.file.parent().unwrap_or(Path::new(""));
         let name = trial.recording.strip_prefix(folder).unwrap_or(&trial.recording);
-        Ok(LoadCase { name: shown(name), mass_kg: trial.mass_kg, arm_m: trial.arm_m.clone(), known_loads })
+        Ok(LoadCase {
+            name: shown(name),
+            mass_kg: trial.mass_kg,
+            arm_m: trial.arm_m.clone(),
+            arm_accuracy_m: trial.arm_accuracy_m,
+            mass_accuracy_kg: trial.mass_accuracy_kg,
+            known_loads,
+        })
     }
 }

@@ -77,6 +77,7 @@ pub fn calibrate(dof: Dof, gravity: f64, cases: &[LoadCase]) -> Result<Calibrati
         shape,
         handedness: Handedness::Proven,
         fusion_residual: residual,
+        uncertainty: None,
         trials: cases.iter().map(LoadCase::record).collect(),
     }
     .finite()
@@ -151,7 +152,14 @@ mod tests {
                         },
                     })
                     .collect();
-                LoadCase { name: String::new(), mass_kg, arm_m, known_loads }
+                LoadCase {
+                    name: String::new(),
+                    mass_kg,
+                    arm_m,
+                    arm_accuracy_m: 0.0,
+                    mass_accuracy_kg: 0.0,
+                    known_loads,
+                }
             })
             .collect()
     }

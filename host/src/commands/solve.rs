@@ -53,7 +53,7 @@ impl Report {
         let trial = solve(recording, rank)?;
         let magnitude = recover(recording, &trial)?.magnitude().ok_or(Refusal::NonFinite)?;
         let (rank, gages) = (trial.rank(), trial.gages());
-        let TrialShape { samples, eigenvalues, noise_counts, bias_counts, shape_counts_per_load } = trial;
+        let TrialShape { samples, eigenvalues, noise_counts, bias_counts, shape_counts_per_load, .. } = trial;
         Ok(Self {
             rank,
             gages,

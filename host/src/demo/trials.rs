@@ -11,6 +11,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::{DemoError, Stage};
+use crate::calibration::consistency::ARM_ACCURACY_M;
+use crate::calibration::covariance::TrialCovariance;
 use crate::calibration::known_load::{KnownLoad, LoadCase, average};
 use crate::calibration::motion;
 use crate::calibration::trial::{self, SampleCounts, TrialShape};
@@ -78,8 +80,9 @@ pub fn acquire(
             trial.load.mass_kg,
         )?;
         let (recording, solution, status) = turn_and_solve(stage, trial, rank)?;
-        let shape = from_sensor(&solution, status);
+        // The sensor sends its answer alone; how certain that is follows from the same codes.
         let on_host = trial::solve(&recording, rank).map_err(refused(index))?;
+        let shape = from_sensor(&solution, status, on_host.covariance);
         let difference = relative_difference(&shape.shape_counts_per_load, &on_host.shape_counts_per_load);
         writeln!(
             progress,
@@ -93,7 +96,6 @@ pub fn acquire(
             },
         )?;
         let motion = motion::recover(&recording, &shape).map_err(refused(index))?;
-        let uncertainty = motion.uncertainty().ok_or(CalibrationRefusal::TrialUncertain { trial: index })?;
         let turned = trial.turning.map(|turning| Turned { claimed: claimed(turning), swept: swept(&motion) });
 
         let mut rests = Vec::with_capacity(trial.known_directions.len());
@@ -113,10 +115,12 @@ pub fn acquire(
             name: recording_name(index),
             mass_kg: trial.load.mass_kg,
             arm_m: arm_components(scenario.sensor.dof(), &trial.load),
+            arm_accuracy_m: ARM_ACCURACY_M,
+            mass_accuracy_kg: stage.workmanship.force_newton / GRAVITY,
             known_loads,
         };
         acquired.push(AcquiredTrial {
-            solved: SolvedTrial { case, shape, uncertainty, turned },
+            solved: SolvedTrial { case, shape, turned },
             recording,
             rests,
         });
@@ -262,7 +266,7 @@ fn recording_of(samples: &[Sample]) -> Recording {
 }
 
 /// The sensor's solution as the host's calibration takes it.
-fn from_sensor(solution: &Solution, status: TrialStatus) -> TrialShape {
+fn from_sensor(solution: &Solution, status: TrialStatus, covariance: TrialCovariance) -> TrialShape {
     let gages = solution.bias_counts.len();
     TrialShape {
         samples: SampleCounts::new(u64::from(status.offered), u64::from(status.saturated)),
@@ -274,6 +278,7 @@ fn from_sensor(solution: &Solution, status: TrialStatus) -> TrialShape {
             gages,
             &solution.shape_counts_per_load,
         ),
+        covariance,
     }
 }
 
