@@ -209,9 +209,11 @@ pub fn calibrate(dof: Dof, gravity: f64, trials: &[SolvedTrial]) -> Result<Calib
     let wrench_error = propagated.as_ref().map_or(f64::INFINITY, |propagated| propagated.wrench_error);
     require_certain(&solved.answer.fit.state.shape, wrench_error)?;
     let matrix = matrix_of_shape(&shape).map_err(|_| CalibrationRefusal::ShapeRankDeficient)?;
-    let records = trials.iter().zip(&solved.evidence).enumerate().map(|(index, (trial, &evidence))| {
-        trial.record(solved.alignment_residual_deg(index), evidence)
-    });
+    let records = trials
+        .iter()
+        .zip(&solved.evidence)
+        .enumerate()
+        .map(|(index, (trial, &evidence))| trial.record(solved.alignment_residual_deg(index), evidence));
     Calibration {
         dof,
         method: Method::Sfm,

@@ -105,7 +105,8 @@ pub fn calibration(refusal: &CalibrationRefusal) -> Explained {
         CalibrationRefusal::NoKnownLoad { trial } => Explained::new(
             "no-known-load",
             format!("trial {} has no known load, so nothing says how it is oriented", trial + 1),
-            "Add a [[trial.known_load]]: one for a planar sensor, two in different directions for a spatial one.",
+            "Add a [[trial.known_load]]: for a force/torque sensor one rough direction a trial (`accuracy_deg = 30`); for \
+             a force sensor one in the plane, three in different directions in space.",
         ),
         CalibrationRefusal::KnownLoadsDoNotOrient { trial, loads, uncertainty_deg } => Explained::new(
             "known-loads-do-not-orient",
@@ -199,9 +200,9 @@ pub fn calibration(refusal: &CalibrationRefusal) -> Explained {
                 "{}: a mirror image fits as well: it is worse by {margin:.1}, and by {need:.0} it would be ruled out",
                 numbered(trials)
             ),
-            "Add a known load to each of these trials: for a planar sensor one in another direction, or `turning`; for a \
-             spatial sensor a third one out of the plane of the other two, or use an arm out of the plane of arms and \
-             loads.",
+            "Add a known load to each of these trials, for a force/torque sensor one whose direction is far from the plane \
+             of the arms (in the plane: from their line) and from its normal, however roughly known; for a force sensor \
+             a third one out of the plane of the other two; for a planar sensor one in another direction, or `turning`.",
         ),
         CalibrationRefusal::TooManyUndecided { trials } => Explained::new(
             "too-many-undecided",

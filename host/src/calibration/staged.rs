@@ -35,9 +35,10 @@ pub fn calibrate(dof: Dof, gravity: f64, trials: &[SolvedTrial]) -> Result<Calib
     }
     require_certain(&scaled, proven.consistency.wrench_error)?;
     let matrix = matrix_of_shape(&fused.shape).map_err(|_| CalibrationRefusal::ShapeRankDeficient)?;
-    let records = trials.iter().zip(&alignments).zip(proven.hands.iter().zip(&proven.evidence)).map(
-        |((trial, alignment), (&hand, &evidence))| trial.record(alignment.residual_deg(hand), evidence),
-    );
+    let records =
+        trials.iter().zip(&alignments).zip(proven.hands.iter().zip(&proven.evidence)).map(
+            |((trial, alignment), (&hand, &evidence))| trial.record(alignment.residual_deg(hand), evidence),
+        );
     Calibration {
         dof,
         method: Method::SfmPaper,

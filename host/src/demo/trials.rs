@@ -119,11 +119,7 @@ pub fn acquire(
             mass_accuracy_kg: stage.workmanship.force_newton / GRAVITY,
             known_loads,
         };
-        acquired.push(AcquiredTrial {
-            solved: SolvedTrial { case, shape, turned },
-            recording,
-            rests,
-        });
+        acquired.push(AcquiredTrial { solved: SolvedTrial { case, shape, turned }, recording, rests });
     }
     Ok(acquired)
 }

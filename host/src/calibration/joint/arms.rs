@@ -74,7 +74,7 @@ impl Base {
                         .collect();
                     best(problem.rank, &sights, Hand::Rotation).orientation
                 });
-                self.extended(problem, oriented.collect(), arms)
+                self.extended(problem, &oriented.collect::<Vec<_>>(), arms)
             })
             .collect()
     }
@@ -82,8 +82,7 @@ impl Base {
     /// The answers that fit as well as this one, itself among them.
     pub fn equivalents(&self, problem: &Problem, state: &State, arms: &Stack) -> Vec<State> {
         let rank = problem.rank;
-        let mirror =
-            DMatrix::identity(rank, rank) - &self.normal * self.normal.transpose() * 2.0;
+        let mirror = DMatrix::identity(rank, rank) - &self.normal * self.normal.transpose() * 2.0;
         let mut all = Vec::new();
         for sign in [1.0, -1.0] {
             for pattern in 0..1_usize << self.trials.len() {
@@ -91,7 +90,7 @@ impl Base {
                     let orientation = &state.orientations[trial] * sign;
                     if pattern >> number & 1 == 1 { &mirror * orientation } else { orientation }
                 });
-                all.push(self.extended(problem, oriented.collect(), arms));
+                all.push(self.extended(problem, &oriented.collect::<Vec<_>>(), arms));
             }
         }
         all
@@ -99,11 +98,11 @@ impl Base {
 
     /// The orientations of all trials from those of the base: each further trial is turned to what the base's shape
     /// would show it (orthogonal Procrustes).
-    fn extended(&self, problem: &Problem, oriented: Vec<DMatrix<f64>>, arms: &Stack) -> State {
+    fn extended(&self, problem: &Problem, oriented: &[DMatrix<f64>], arms: &Stack) -> State {
         let shapes: Vec<DMatrix<f64>> = self
             .trials
             .iter()
-            .zip(&oriented)
+            .zip(oriented)
             .map(|(&trial, orientation)| orientation * &problem.observations[trial].shape)
             .collect();
         let mut shape = &self.arms.inverse * stack(&shapes);

@@ -85,9 +85,10 @@ impl Candidate {
     /// A trial that would have turned the other way round than the session says.
     fn turned_wrongly(&self, problem: &Problem) -> Option<usize> {
         let demanded = problem.observations.iter().map(|observation| observation.hand);
-        demanded.enumerate().find(|&(trial, hand)| hand.is_some_and(|hand| hand != self.hand(trial))).map(
-            |(trial, _)| trial,
-        )
+        demanded
+            .enumerate()
+            .find(|&(trial, hand)| hand.is_some_and(|hand| hand != self.hand(trial)))
+            .map(|(trial, _)| trial)
     }
 
     /// Trials that another answer orients otherwise.
@@ -181,10 +182,9 @@ fn require_consistent(problem: &Problem, best: &Candidate) -> Result<(), Calibra
     let off = |shift: f64| (shift - usual).abs();
     let shifts = freed.fit.state.mass_shifts.iter().copied().enumerate();
     match shifts.max_by(|&(_, a), &(_, b)| off(a).total_cmp(&off(b))) {
-        Some((trial, shift)) if !contradicts(freed.misfit) => Err(CalibrationRefusal::MassesContradict {
-            trial,
-            ratio: (shift - usual).exp(),
-        }),
+        Some((trial, shift)) if !contradicts(freed.misfit) => {
+            Err(CalibrationRefusal::MassesContradict { trial, ratio: (shift - usual).exp() })
+        }
         _ => Err(CalibrationRefusal::TrialsContradict {
             residual: super::residual(problem, &best.fit.state),
             ratio: strain(problem, best.misfit).sqrt(),

@@ -85,16 +85,17 @@ impl Solved {
 pub fn solve(dof: Dof, gravity: f64, trials: &[SolvedTrial]) -> Result<Solved, CalibrationRefusal> {
     let arms_m: Vec<&DVector<f64>> = trials.iter().map(|trial| &trial.case.arm_m).collect();
     let arms = Stack::new(dof, &arms_m)?;
-    let start = if dof.has_torque() {
-        Start::Arms(Base::choose(dof, &arms_m)?)
-    } else {
-        Start::KnownLoads
-    };
+    let start = if dof.has_torque() { Start::Arms(Base::choose(dof, &arms_m)?) } else { Start::KnownLoads };
     let at_their_word = solve_with(dof, gravity, trials, &arms, &start, 0.0);
-    match at_their_word {
-        Ok(solved) if solved.strain <= LARGEST_STRAIN => Ok(solved),
-        _ => solve_with(dof, gravity, trials, &arms, &start, MODEL_ERROR),
-    }
+    let strained = match &at_their_word {
+        Ok(solved) => solved.strain > LARGEST_STRAIN,
+        Err(CalibrationRefusal::HandednessNotSettled { need, .. }) => *need > MARGIN * LARGEST_STRAIN,
+        Err(refusal) => matches!(
+            refusal,
+            CalibrationRefusal::TrialsContradict { .. } | CalibrationRefusal::MassesContradict { .. }
+        ),
+    };
+    if strained { solve_with(dof, gravity, trials, &arms, &start, MODEL_ERROR) } else { at_their_word }
 }
 
 /// What the answers are started from.
@@ -126,7 +127,8 @@ fn solve_with(
             candidates.extend(by_known_loads(&problem, &own, arms)?);
             let answer = decide(&problem, candidates)?;
             let evidence = own.iter().zip(trials).map(|((_, possible), trial)| {
-                let turning = trial.turned.map_or(HandednessEvidence::Fusion, |_| HandednessEvidence::Turning);
+                let turning =
+                    trial.turned.map_or(HandednessEvidence::Fusion, |_| HandednessEvidence::Turning);
                 possible.as_ref().and_then(|possible| possible.evidence).unwrap_or(turning)
             });
             (answer, evidence.collect())

@@ -164,9 +164,8 @@ mod tests {
                 1e-9,
             )
             .expect("of full rank");
-            let length = |misfit: &DMatrix<f64>| {
-                (&whitening * DVector::from_column_slice(misfit.as_slice())).norm()
-            };
+            let length =
+                |misfit: &DMatrix<f64>| (&whitening * DVector::from_column_slice(misfit.as_slice())).norm();
             // All gains too large by one standard deviation: r independent gains, each off by one.
             let larger = length(&(&shape * gain));
             assert!((larger - (rank as f64).sqrt()).abs() < 1e-4, "{larger}");

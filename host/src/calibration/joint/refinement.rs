@@ -18,7 +18,7 @@ use super::super::known_load::squashing_matrix;
 use super::observation::Observation;
 
 /// Steps after which a start that has not settled is left as it is.
-const MOST_STEPS: usize = 60;
+const MOST_STEPS: usize = 30;
 
 /// A step that lowers the sum of squares by less than this, relative and absolute, is the last.
 const LEAST_GAIN: f64 = 1e-7;
