@@ -1,21 +1,24 @@
 //! From trials to a calibration: what the host adds to the estimator (paper, figure 2 and eq. 14–20).
 //!
 //! ```text
-//! recordings ─► trial ─► alignment ─► handedness ─► fusion ─► matrix ─► calibration
-//!               shape    two ways      one way,      eq. 18,   eq. 5
-//!               per load to orient it  proven        20
+//! recordings ─► trial ─► joint solution ─► matrix ─► calibration
+//!               shape    arms orient,      eq. 5
+//!                        known loads choose
 //! ```
 //!
 //! | module | step |
 //! |---|---|
 //! | [`trial`] | shape and bias of one trial, by the shared estimator |
-//! | [`motion`] | the recovered motion, and what it says about the trial's uncertainty |
+//! | [`covariance`] | how certain that is |
+//! | [`motion`] | the recovered motion |
 //! | [`known_load`] | rests at known loads; arms as squashing matrices |
 //! | [`alignment`] | orientation from known loads |
 //! | [`turning`] | orientation from the sense of turning |
-//! | [`consistency`] | what trials allow each other |
-//! | [`handedness`] | rotation or mirror image, proven or refused |
-//! | [`fusion`] | true shape from several arms |
+//! | [`joint`] | orientations, true shape, arms and masses from all trials at once |
+//! | [`staged`] | the paper's way instead: trial by trial, then stacked |
+//! | [`consistency`] | there: what trials allow each other |
+//! | [`handedness`] | there, and for force sensors: rotation or mirror image, proven or refused |
+//! | [`fusion`] | true shape from oriented trials at several arms |
 //! | [`matrix`] | calibration matrix of a shape |
 //! | [`singular`] | the decomposition that several of these rest on |
 //! | [`least_squares`] | the paper's reference: known loads alone (eq. 3) |
@@ -28,15 +31,18 @@
 
 pub mod alignment;
 pub mod consistency;
+pub mod covariance;
 pub mod evidence;
 pub mod fusion;
 pub mod handedness;
+pub mod joint;
 pub mod known_load;
 pub mod least_squares;
 pub mod matrix;
 pub mod motion;
 pub mod refusal;
 pub mod singular;
+pub mod staged;
 pub mod trial;
 pub mod turning;
 pub mod upload;
@@ -50,10 +56,9 @@ use ftcal_shared::units::Dof;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-use self::fusion::{Fused, Stack};
+use self::joint::uncertainty::{Uncertainty, propagate};
 use self::known_load::LoadCase;
 use self::matrix::matrix_of_shape;
-use self::motion::TrialUncertainty;
 use self::singular::Singular;
 use self::trial::{SampleCounts, TrialShape};
 use self::turning::Turned;
@@ -79,8 +84,6 @@ pub struct SolvedTrial {
     pub case: LoadCase,
     /// The shape found, by the host or by the device.
     pub shape: TrialShape,
-    /// How certain it is.
-    pub uncertainty: TrialUncertainty,
     /// The sense of turning, where the session states one.
     pub turned: Option<Turned>,
 }
@@ -106,6 +109,8 @@ pub struct Calibration {
     pub handedness: Handedness,
     /// The part of the trials' shapes that the fused shape does not explain, relative; zero for a single trial.
     pub fusion_residual: f64,
+    /// Standard deviations, where the method tells them.
+    pub uncertainty: Option<Uncertainty>,
     /// The trials.
     pub trials: Vec<TrialRecord>,
 }
@@ -114,8 +119,10 @@ pub struct Calibration {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Method {
-    /// Shape from motion.
+    /// Shape from motion, all trials jointly.
     Sfm,
+    /// Shape from motion, trial by trial as the paper does it: oriented by known loads, then stacked (eq. 18, 20).
+    SfmPaper,
     /// Least squares on the known loads alone (eq. 3).
     LeastSquares,
 }
@@ -187,40 +194,28 @@ pub struct SolutionRecord {
     pub handedness: HandednessEvidence,
 }
 
-/// Calibrates by shape from motion.
+/// Calibrates by shape from motion, all trials jointly.
 ///
 /// # Errors
 ///
 /// Every [`CalibrationRefusal`] but those of least squares.
 pub fn calibrate(dof: Dof, gravity: f64, trials: &[SolvedTrial]) -> Result<Calibration, CalibrationRefusal> {
-    let gages = trials.first().map_or(0, |trial| trial.shape.gages());
-    if gages < dof.count() {
-        return Err(CalibrationRefusal::TooFewGages { gages, need: dof.count() });
-    }
-    let mut alignments = Vec::with_capacity(trials.len());
-    for (index, SolvedTrial { case, shape, uncertainty, .. }) in trials.iter().enumerate() {
-        alignments.push(alignment::align(index, case, shape, *uncertainty)?);
-    }
-    let arms = Stack::new(dof, &trials.iter().map(|trial| &trial.case.arm_m).collect::<Vec<_>>())?;
-    let proven = handedness::prove(trials, &alignments, &arms, gravity)?;
+    require_gages(dof, trials)?;
+    let solved = joint::solve(dof, gravity, trials)?;
     let bias_counts = common_bias(trials)?;
-    let shapes: Vec<DMatrix<f64>> = proven.oriented.iter().map(|trial| trial.shape.clone()).collect();
-    let fused = arms.fuse(&shapes);
-    require_certain(&fused, &arms, proven.consistency.wrench_error)?;
-    let matrix = matrix_of_shape(&fused.shape).map_err(|_| CalibrationRefusal::ShapeRankDeficient)?;
-    let records = trials.iter().zip(&alignments).zip(proven.hands.iter().zip(&proven.evidence)).map(
-        |((trial, alignment), (&hand, &evidence))| TrialRecord {
-            solution: Some(SolutionRecord {
-                samples: trial.shape.samples.clone(),
-                eigenvalues: trial.shape.eigenvalues.iter().copied().collect(),
-                noise_counts: trial.shape.noise_counts,
-                bias_counts: trial.shape.bias_counts.iter().copied().collect(),
-                alignment_residual_deg: alignment.residual_deg(hand),
-                handedness: evidence,
-            }),
-            ..trial.case.record()
-        },
-    );
+    let shape = solved.shape();
+    let newtons: Vec<f64> = trials.iter().map(|trial| trial.case.mass_kg * gravity).collect();
+    let bias_covariance = bias_covariance(trials);
+    let propagated =
+        propagate(&solved.problem, &solved.answer.fit, &newtons, &bias_covariance, solved.strain);
+    let wrench_error = propagated.as_ref().map_or(f64::INFINITY, |propagated| propagated.wrench_error);
+    require_certain(&solved.answer.fit.state.shape, wrench_error)?;
+    let matrix = matrix_of_shape(&shape).map_err(|_| CalibrationRefusal::ShapeRankDeficient)?;
+    let records = trials
+        .iter()
+        .zip(&solved.evidence)
+        .enumerate()
+        .map(|(index, (trial, &evidence))| trial.record(solved.alignment_residual_deg(index), evidence));
     Calibration {
         dof,
         method: Method::Sfm,
@@ -228,9 +223,10 @@ pub fn calibrate(dof: Dof, gravity: f64, trials: &[SolvedTrial]) -> Result<Calib
         matrix,
         bias_counts,
         bias: BiasOrigin::Estimated,
-        shape: fused.shape,
+        shape,
         handedness: Handedness::Proven,
-        fusion_residual: fused.residual,
+        fusion_residual: solved.residual(),
+        uncertainty: propagated.map(|propagated| propagated.uncertainty),
         trials: records.collect(),
     }
     .finite()
@@ -275,7 +271,7 @@ fn common_bias(trials: &[SolvedTrial]) -> Result<DVector<f64>, CalibrationRefusa
     for (index, trial) in trials.iter().enumerate() {
         let signal_counts = trial.shape.shape_counts_per_load.norm() / (trial.shape.rank() as f64).sqrt();
         let counts = (&trial.shape.bias_counts - &mean).norm();
-        let allowed = LARGEST_BIAS_DISAGREEMENT + CONTRADICTION * trial.uncertainty.bias;
+        let allowed = LARGEST_BIAS_DISAGREEMENT + CONTRADICTION * trial.shape.covariance.bias_deviation();
         let agrees = counts <= allowed * signal_counts;
         if !agrees {
             return Err(CalibrationRefusal::BiasesDisagree { trial: index, counts, signal_counts });
@@ -284,19 +280,49 @@ fn common_bias(trials: &[SolvedTrial]) -> Result<DVector<f64>, CalibrationRefusa
     Ok(mean)
 }
 
-/// Refuses a shape whose wrenches would be too uncertain. Either the gages hardly respond to some component of the load, or
-/// the evidence is too rough for the arms.
-fn require_certain(fused: &Fused, arms: &Stack, wrench_error: f64) -> Result<(), CalibrationRefusal> {
+/// The covariance of that mean (p × p), counts².
+fn bias_covariance(trials: &[SolvedTrial]) -> DMatrix<f64> {
+    let weight = |trial: &SolvedTrial| trial.shape.samples.used as f64;
+    let weights: f64 = trials.iter().map(weight).sum();
+    let each = trials.iter().map(|trial| {
+        let share = weight(trial) / weights;
+        trial.shape.covariance.bias(&trial.shape.shape_counts_per_load) * (share * share)
+    });
+    each.sum()
+}
+
+fn require_gages(dof: Dof, trials: &[SolvedTrial]) -> Result<(), CalibrationRefusal> {
+    let gages = trials.first().map_or(0, |trial| trial.shape.gages());
+    if gages < dof.count() {
+        return Err(CalibrationRefusal::TooFewGages { gages, need: dof.count() });
+    }
+    Ok(())
+}
+
+/// Refuses a shape (torque rows times the characteristic arm length) whose wrenches would be too uncertain. Either the
+/// gages hardly respond to some component of the load, or the evidence is too rough for the arms.
+fn require_certain(scaled_shape: &DMatrix<f64>, wrench_error: f64) -> Result<(), CalibrationRefusal> {
     if wrench_error <= LARGEST_WRENCH_ERROR {
-        return Ok(());
-    }
-    let mut scaled = fused.shape.clone();
-    for (mut row, &length) in scaled.row_iter_mut().zip(&arms.lengths) {
-        row *= length;
-    }
-    if Singular::of(&scaled).condition() > LEAST_RESPONSE {
+        Ok(())
+    } else if Singular::of(scaled_shape).condition() > LEAST_RESPONSE {
         Err(CalibrationRefusal::FusionUncertain { wrench_error, need: LARGEST_WRENCH_ERROR })
     } else {
         Err(CalibrationRefusal::ShapeRankDeficient)
+    }
+}
+
+impl SolvedTrial {
+    fn record(&self, alignment_residual_deg: f64, handedness: HandednessEvidence) -> TrialRecord {
+        TrialRecord {
+            solution: Some(SolutionRecord {
+                samples: self.shape.samples.clone(),
+                eigenvalues: self.shape.eigenvalues.iter().copied().collect(),
+                noise_counts: self.shape.noise_counts,
+                bias_counts: self.shape.bias_counts.iter().copied().collect(),
+                alignment_residual_deg,
+                handedness,
+            }),
+            ..self.case.record()
+        }
     }
 }

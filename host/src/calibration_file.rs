@@ -17,6 +17,7 @@ use ftcal_shared::units::{Dof, MAX_GAGES};
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
+use crate::calibration::joint::uncertainty::Uncertainty;
 use crate::calibration::{BiasOrigin, Calibration, Handedness, Method, TrialRecord};
 use crate::recording::{MIN_GAGES, shown};
 
@@ -106,9 +107,19 @@ struct File {
     sign_convention: String,
     handedness: Handedness,
     fusion_residual: f64,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    uncertainty: Option<UncertaintyRecord>,
     trials: Vec<TrialRecord>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     checksum: Option<String>,
+}
+
+/// Standard deviations, as they are spelled.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct UncertaintyRecord {
+    matrix: Vec<Vec<f64>>,
+    per_axis_full_load: Vec<f64>,
 }
 
 /// Only what tells whether the rest can be understood.
@@ -137,6 +148,10 @@ pub fn write(calibration: &Calibration, mut out: impl Write) -> io::Result<()> {
         sign_convention: SIGN_CONVENTION.to_owned(),
         handedness: calibration.handedness,
         fusion_residual: calibration.fusion_residual,
+        uncertainty: calibration.uncertainty.as_ref().map(|uncertainty| UncertaintyRecord {
+            matrix: rows(&uncertainty.matrix),
+            per_axis_full_load: uncertainty.per_axis_full_load.iter().copied().collect(),
+        }),
         trials: calibration.trials.clone(),
         checksum: None,
     };
@@ -227,6 +242,20 @@ impl File {
                 found: format!("one that is off by {mismatch:.3e}"),
             });
         }
+        let uncertainty = match &self.uncertainty {
+            Some(UncertaintyRecord { per_axis_full_load, .. }) if per_axis_full_load.len() != components => {
+                return Err(Inconsistency {
+                    field: "uncertainty.per_axis_full_load",
+                    expected: format!("{components} numbers"),
+                    found: per_axis_full_load.len().to_string(),
+                });
+            }
+            Some(UncertaintyRecord { matrix, per_axis_full_load }) => Some(Uncertainty {
+                matrix: checked_matrix("uncertainty.matrix", matrix, components, gages)?,
+                per_axis_full_load: DVector::from_column_slice(per_axis_full_load),
+            }),
+            None => None,
+        };
         Ok(Calibration {
             dof: self.dof,
             method: self.method,
@@ -237,6 +266,7 @@ impl File {
             shape,
             handedness: self.handedness,
             fusion_residual: self.fusion_residual,
+            uncertainty,
             trials: self.trials,
         })
     }
@@ -272,6 +302,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::{CalibrationFileError, parse, write};
+    use crate::calibration::joint::uncertainty::Uncertainty;
     use crate::calibration::matrix::matrix_of_shape;
     use crate::calibration::trial::{Rejection, SampleCounts};
     use crate::calibration::{
@@ -292,6 +323,10 @@ mod tests {
             shape,
             handedness: Handedness::Proven,
             fusion_residual: number().abs(),
+            uncertainty: Some(Uncertainty {
+                matrix: DMatrix::from_fn(dof.count(), gages, |_, _| number().abs()),
+                per_axis_full_load: DVector::from_fn(dof.count(), |_, _| number().abs()),
+            }),
             trials: vec![TrialRecord {
                 recording: "arm \"1\".csv".to_owned(),
                 mass_kg: 1.0 / 3.0,

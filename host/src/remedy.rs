@@ -125,7 +125,8 @@ pub fn calibration(refusal: &CalibrationRefusal) -> Explained {
         CalibrationRefusal::NoKnownLoad { trial } => Explained::new(
             "no-known-load",
             format!("trial {} has no known load, so nothing says how it is oriented", trial + 1),
-            "Add a [[trial.known_load]]: one for a planar sensor, two in different directions for a spatial one.",
+            "Add a [[trial.known_load]]: for a force/torque sensor one rough direction a trial (`accuracy_deg = 30`); for \
+             a force sensor one in the plane, three in different directions in space.",
         ),
         CalibrationRefusal::KnownLoadsDoNotOrient { trial, loads, uncertainty_deg } => Explained::new(
             "known-loads-do-not-orient",
@@ -192,11 +193,6 @@ pub fn calibration(refusal: &CalibrationRefusal) -> Explained {
             ),
             "Check masses, arms and directions; add known loads until the bias can be estimated, too.",
         ),
-        CalibrationRefusal::TrialUncertain { trial } => Explained::new(
-            "trial-uncertain",
-            format!("trial {}: the motion does not tell how certain the shape is", trial + 1),
-            "Record longer, turning the load through all directions.",
-        ),
         CalibrationRefusal::TurningUnclear { trial, swept } => Explained::new(
             "turning-unclear",
             format!(
@@ -224,9 +220,9 @@ pub fn calibration(refusal: &CalibrationRefusal) -> Explained {
                 "{}: a mirror image fits as well: it is worse by {margin:.1}, and by {need:.0} it would be ruled out",
                 numbered(trials)
             ),
-            "Add a known load to each of these trials: for a planar sensor one in another direction, or `turning`; for a \
-             spatial sensor a third one out of the plane of the other two, or use an arm out of the plane of arms and \
-             loads.",
+            "Add a known load to each of these trials, for a force/torque sensor one whose direction is far from the plane \
+             of the arms (in the plane: from their line) and from its normal, however roughly known; for a force sensor \
+             a third one out of the plane of the other two; for a planar sensor one in another direction, or `turning`.",
         ),
         CalibrationRefusal::TooManyUndecided { trials } => Explained::new(
             "too-many-undecided",
@@ -243,6 +239,16 @@ pub fn calibration(refusal: &CalibrationRefusal) -> Explained {
             ),
             "Check every trial's mass, arm (from the origin of the sensor frame to the point the load pulls at, metre) \
              and directions, and that `accuracy_deg` is not too small.",
+        ),
+        CalibrationRefusal::MassesContradict { trial, ratio } => Explained::new(
+            "masses-contradict",
+            format!(
+                "the masses contradict each other: trial {} turned {ratio:.4} times its `mass_kg`, if the others are \
+                 right",
+                trial + 1
+            ),
+            "Weigh again all that hung on the sensor in each trial, the fixture too, and correct `mass_kg`; state \
+             `mass_accuracy_kg` if the scale is rough.",
         ),
         CalibrationRefusal::BiasesDisagree { trial, counts, signal_counts } => Explained::new(
             "biases-disagree",
@@ -326,7 +332,6 @@ mod tests {
     fn calibration_refusals() -> Vec<CalibrationRefusal> {
         let trial = 0;
         vec![
-            CalibrationRefusal::TrialUncertain { trial },
             CalibrationRefusal::NoKnownLoad { trial },
             CalibrationRefusal::KnownLoadsDoNotOrient { trial, loads: 1, uncertainty_deg: f64::INFINITY },
             CalibrationRefusal::KnownLoadsContradict { trial, load: 1, angle_deg: 20.0 },
@@ -338,6 +343,7 @@ mod tests {
             CalibrationRefusal::HandednessNotSettled { trials: vec![0, 2], margin: 0.0, need: 25.0 },
             CalibrationRefusal::TooManyUndecided { trials: vec![0, 1] },
             CalibrationRefusal::TrialsContradict { residual: 0.2, ratio: 30.0 },
+            CalibrationRefusal::MassesContradict { trial, ratio: 1.1 },
             CalibrationRefusal::TooFewArms { have: 2, need: 3 },
             CalibrationRefusal::ArmsEqual { arms: 3, spread_m: 1e-4 },
             CalibrationRefusal::ArmsCollinear { arms: 3 },

@@ -8,12 +8,14 @@
 //! recording = "arm1.csv"          # relative to this file
 //! mass_kg = 1.2                   # all that hangs on the sensor: the fixture turns with gravity too
 //! arm_m = [0.05, 0.0, 0.1]        # in the sensor frame; absent for force sensors
+//! arm_accuracy_m = 0.0002         # one standard deviation of each component; this is the default
+//! mass_accuracy_kg = 0.0012       # one standard deviation; 0.1 % of the mass where nothing is said
 //! turning = "counterclockwise"    # planar sensors only, optional: how the force turned in the sensor frame
 //!
 //! [[trial.known_load]]
 //! window_s = [3.0, 5.0]           # a rest within the trial, or recording = "rest.csv"
 //! direction = [0.0, 0.0, -1.0]    # of the force acting on the sensor, in the sensor frame
-//! accuracy_deg = 0.1              # one standard deviation of that direction; 1 where nothing is said
+//! accuracy_deg = 0.1              # one standard deviation of that direction; 1 where nothing is said; 30: "about that way"
 //! ```
 //!
 //! Unknown fields are errors. Every error names line, column, what was expected and what stood there. What is read here
@@ -55,6 +57,10 @@ pub struct SessionTrial {
     pub mass_kg: f64,
     /// Where it hangs, metre, in the sensor frame; two or three components, none for force sensors.
     pub arm_m: DVector<f64>,
+    /// Standard deviation of each component of the arm, metre.
+    pub arm_accuracy_m: f64,
+    /// Standard deviation of the mass, kilogram.
+    pub mass_accuracy_kg: f64,
     /// How the force turned in the sensor frame.
     pub turning: Option<Turning>,
     /// The loads whose direction is known.

@@ -14,7 +14,6 @@ use nalgebra::{DMatrix, DVector};
 use super::CalibrationRefusal;
 use super::known_load::{KnownLoad, LoadCase};
 use super::matrix::matrix_of_shape;
-use super::motion::TrialUncertainty;
 use super::singular::Singular;
 use super::trial::TrialShape;
 
@@ -87,50 +86,69 @@ impl Alignment {
 ///
 /// # Errors
 ///
-/// [`CalibrationRefusal::NoKnownLoad`], [`CalibrationRefusal::KnownLoadsDoNotOrient`],
-/// [`CalibrationRefusal::KnownLoadMagnitude`], [`CalibrationRefusal::KnownLoadNotAtRest`],
-/// [`CalibrationRefusal::Trial`] where the shape cannot be inverted.
-pub fn align(
-    trial: usize,
-    case: &LoadCase,
-    shape: &TrialShape,
-    uncertainty: TrialUncertainty,
-) -> Result<Alignment, CalibrationRefusal> {
+/// [`CalibrationRefusal::NoKnownLoad`], [`CalibrationRefusal::KnownLoadsDoNotOrient`], and those of [`sights`].
+pub fn align(trial: usize, case: &LoadCase, shape: &TrialShape) -> Result<Alignment, CalibrationRefusal> {
     if case.known_loads.is_empty() {
         return Err(CalibrationRefusal::NoKnownLoad { trial });
     }
-    let matrix = matrix_of_shape(&shape.shape_counts_per_load)
-        .map_err(|refusal| CalibrationRefusal::Trial { trial, refusal })?;
-    let mut sights = Vec::with_capacity(case.known_loads.len());
-    for (load, known) in case.known_loads.iter().enumerate() {
-        sights.push(sight(trial, load, known, shape, &matrix, uncertainty)?);
-    }
-    let rank = shape.rank();
-    let covariance = orientation_covariance(rank, &sights);
-    let worst = covariance.as_ref().map_or(f64::INFINITY, largest_deviation);
-    let covariance = covariance.filter(|_| worst <= LARGEST_ORIENTATION_ERROR).ok_or(
+    let sights = sights(trial, case, shape)?;
+    orient(shape.rank(), &sights).map_err(|NotOriented { deviation_rad }| {
         CalibrationRefusal::KnownLoadsDoNotOrient {
             trial,
             loads: sights.len(),
-            uncertainty_deg: worst.to_degrees(),
-        },
-    )?;
+            uncertainty_deg: deviation_rad.to_degrees(),
+        }
+    })
+}
+
+/// The known loads of a trial (numbered from zero) as the trial sees them.
+///
+/// # Errors
+///
+/// [`CalibrationRefusal::KnownLoadMagnitude`], [`CalibrationRefusal::KnownLoadNotAtRest`],
+/// [`CalibrationRefusal::Trial`] where the shape cannot be inverted.
+pub fn sights(trial: usize, case: &LoadCase, shape: &TrialShape) -> Result<Vec<Sight>, CalibrationRefusal> {
+    let matrix = matrix_of_shape(&shape.shape_counts_per_load)
+        .map_err(|refusal| CalibrationRefusal::Trial { trial, refusal })?;
+    let loads = case.known_loads.iter().enumerate();
+    loads.map(|(load, known)| sight(trial, load, known, shape, &matrix)).collect()
+}
+
+/// The directions leave a turn free, or all but free.
+#[derive(Clone, Copy, Debug)]
+pub struct NotOriented {
+    /// Standard deviation of the worst turn, radian.
+    pub deviation_rad: f64,
+}
+
+/// The orientations that known loads allow.
+///
+/// # Errors
+///
+/// [`NotOriented`].
+pub fn orient(rank: usize, sights: &[Sight]) -> Result<Alignment, NotOriented> {
+    let covariance = orientation_covariance(rank, sights);
+    let deviation_rad = covariance.as_ref().map_or(f64::INFINITY, largest_deviation);
+    let covariance = covariance
+        .filter(|_| deviation_rad <= LARGEST_ORIENTATION_ERROR)
+        .ok_or(NotOriented { deviation_rad })?;
     let turns = rank * (rank - 1) / 2;
     Ok(Alignment {
-        candidates: [Hand::Rotation, Hand::MirrorImage].map(|hand| best(rank, &sights, hand)),
+        candidates: [Hand::Rotation, Hand::MirrorImage].map(|hand| best(rank, sights, hand)),
         freedom: (sights.len() * (rank - 1)).saturating_sub(turns),
         covariance,
     })
 }
 
-/// A known load as the trial sees it.
-struct Sight {
+/// A direction that is known in the sensor frame, as the trial sees it.
+#[derive(Clone, Debug)]
+pub struct Sight {
     /// m̂ₖ, of length one.
-    seen: DVector<f64>,
+    pub seen: DVector<f64>,
     /// uₖ.
-    known: DVector<f64>,
+    pub known: DVector<f64>,
     /// σₖ, radian.
-    deviation_rad: f64,
+    pub deviation_rad: f64,
 }
 
 fn sight(
@@ -139,11 +157,11 @@ fn sight(
     known: &KnownLoad,
     shape: &TrialShape,
     matrix: &DMatrix<f64>,
-    uncertainty: TrialUncertainty,
 ) -> Result<Sight, CalibrationRefusal> {
     let seen = matrix * (&known.rest.mean - &shape.bias_counts);
     let magnitude = seen.norm();
-    let trial_error = uncertainty.gain.hypot(uncertainty.bias).hypot(MODEL_ERROR);
+    let trial_error =
+        shape.covariance.gain_deviation().hypot(shape.covariance.bias_deviation()).hypot(MODEL_ERROR);
     let same_load = (magnitude - 1.0).abs() <= LARGEST_MAGNITUDE_ERROR + CONTRADICTION * trial_error;
     if !same_load {
         return Err(CalibrationRefusal::KnownLoadMagnitude { trial, load, magnitude });
@@ -183,8 +201,8 @@ fn largest_deviation(covariance: &DMatrix<f64>) -> f64 {
     covariance.clone().symmetric_eigenvalues().max().max(0.0).sqrt()
 }
 
-/// The orthogonal matrix of one hand that brings the loads seen closest to those known.
-fn best(rank: usize, sights: &[Sight], hand: Hand) -> Candidate {
+/// The orthogonal matrix of one hand that brings the directions seen closest to those known.
+pub fn best(rank: usize, sights: &[Sight], hand: Hand) -> Candidate {
     let mut profile = DMatrix::zeros(rank, rank);
     for Sight { seen, known, deviation_rad } in sights {
         profile += known * seen.transpose() / (deviation_rad * deviation_rad);
@@ -206,7 +224,7 @@ fn best(rank: usize, sights: &[Sight], hand: Hand) -> Candidate {
 }
 
 /// The angle between two unit vectors, accurate for small ones and for those near a half turn.
-fn angle(a: &DVector<f64>, b: &DVector<f64>) -> f64 {
+pub fn angle(a: &DVector<f64>, b: &DVector<f64>) -> f64 {
     2.0 * (a - b).norm().atan2((a + b).norm())
 }
 

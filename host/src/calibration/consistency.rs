@@ -37,6 +37,10 @@ pub struct OrientedTrial {
     pub covariance: DMatrix<f64>,
     /// Relative standard deviation of the trial's gains.
     pub gain_uncertainty: f64,
+    /// Standard deviation of the arm's components, metre.
+    pub arm_accuracy_m: f64,
+    /// Relative standard deviation of the mass.
+    pub mass_accuracy: f64,
 }
 
 /// What the comparison of trials finds.
@@ -129,13 +133,13 @@ fn changes(trials: &[OrientedTrial], lengths: &DVector<f64>, fused: &DMatrix<f64
             whole.rows_mut(at, rank).copy_from(change);
             changes.push(whole);
         };
-        add(&(&trial.shape * MASS_ACCURACY));
+        add(&(&trial.shape * trial.mass_accuracy));
         for turn in turns(&trial.covariance) {
             add(&(cross_product_matrix(&turn) * &trial.shape));
         }
         for axis in 0..trial.arm_m.len() {
             let mut shift = DVector::zeros(trial.arm_m.len());
-            shift[axis] = ARM_ACCURACY_M;
+            shift[axis] = trial.arm_accuracy_m;
             let mut torque = squashing_matrix(rank, &shift);
             torque.columns_mut(0, rank).fill(0.0);
             for (mut column, &length) in torque.column_iter_mut().zip(lengths) {
@@ -197,6 +201,8 @@ mod tests {
                 arm_m,
                 covariance: DMatrix::identity(3, 3) * ACCURACY_RAD.powi(2),
                 gain_uncertainty: 1e-4,
+                arm_accuracy_m: ARM_ACCURACY_M,
+                mass_accuracy: MASS_ACCURACY,
             })
             .collect()
     }

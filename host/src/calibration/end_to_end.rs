@@ -227,7 +227,9 @@ fn a_wrong_mass_arm_or_direction_is_refused() {
         };
         let mut wrong = trials.clone();
         wrong[1].case.mass_kg *= 1.1;
-        contradicts(&wrong);
+        let refusal =
+            calibrate(Dof::SpatialForceTorque, STANDARD_GRAVITY, &wrong).expect_err("it contradicts");
+        assert!(matches!(refusal, CalibrationRefusal::MassesContradict { trial: 1, .. }), "{refusal:?}");
         let mut wrong = trials.clone();
         wrong[2].case.arm_m[0] += 0.02;
         contradicts(&wrong);

@@ -8,7 +8,7 @@ use super::known_load::{KnownLoad, LoadCase, average};
 use super::motion;
 use super::trial::Gating;
 use super::turning::{Turned, swept};
-use super::{Calibration, CalibrationRefusal, Method, SolvedTrial, least_squares, trial};
+use super::{Calibration, CalibrationRefusal, Method, SolvedTrial, least_squares, staged, trial};
 use crate::place::Place;
 use crate::recording::{Recording, RecordingError, WindowError, shown};
 use crate::session_file::{Rest, Session, SessionError, SessionTrial};
@@ -88,12 +88,16 @@ pub fn calibrate(
 ) -> Result<Calibration, CalibrationFailure> {
     let mut reader = Reader { session, gating, gages: None };
     match method {
-        Method::Sfm => {
+        Method::Sfm | Method::SfmPaper => {
             let mut trials = Vec::with_capacity(session.trials.len());
             for (index, trial) in session.trials.iter().enumerate() {
                 trials.push(reader.solved(index, trial)?);
             }
-            Ok(super::calibrate(session.dof, session.gravity, &trials)?)
+            let (dof, gravity) = (session.dof, session.gravity);
+            Ok(match method {
+                Method::SfmPaper => staged::calibrate(dof, gravity, &trials)?,
+                _ => super::calibrate(dof, gravity, &trials)?,
+            })
         }
         Method::LeastSquares => {
             let mut cases = Vec::with_capacity(session.trials.len());
@@ -138,11 +142,15 @@ impl Reader<'_> {
         let recording = opened.insert(self.open(&trial.recording, trial.place)?);
         let refused = |refusal| CalibrationRefusal::Trial { trial: index, refusal };
         let shape = trial::solve(recording, self.session.dof.trial_rank(), self.gating).map_err(refused)?;
-        let motion = motion::recover(recording, &shape).map_err(refused)?;
-        let uncertainty = motion.uncertainty().ok_or(CalibrationRefusal::TrialUncertain { trial: index })?;
-        let turned = trial.turning.map(|claimed| Turned { claimed, swept: swept(&motion) });
+        let turned = match trial.turning {
+            Some(claimed) => {
+                let motion = motion::recover(recording, &shape).map_err(refused)?;
+                Some(Turned { claimed, swept: swept(&motion) })
+            }
+            None => None,
+        };
         let case = self.case(index, trial, &mut opened)?;
-        Ok(SolvedTrial { case, shape, uncertainty, turned })
+        Ok(SolvedTrial { case, shape, turned })
     }
 
     /// The bias that a trial's motion tells, or `None` where its recording is no motion that tells one.
@@ -192,6 +200,13 @@ impl Reader<'_> {
         }
         let folder = self.session.file.parent().unwrap_or(Path::new(""));
         let name = trial.recording.strip_prefix(folder).unwrap_or(&trial.recording);
-        Ok(LoadCase { name: shown(name), mass_kg: trial.mass_kg, arm_m: trial.arm_m.clone(), known_loads })
+        Ok(LoadCase {
+            name: shown(name),
+            mass_kg: trial.mass_kg,
+            arm_m: trial.arm_m.clone(),
+            arm_accuracy_m: trial.arm_accuracy_m,
+            mass_accuracy_kg: trial.mass_accuracy_kg,
+            known_loads,
+        })
     }
 }

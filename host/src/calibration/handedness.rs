@@ -21,13 +21,13 @@ use super::fusion::Stack;
 use super::{HandednessEvidence, SolvedTrial};
 
 /// By how much the misfit of every other combination must exceed that of the answer.
-const MARGIN: f64 = 25.0;
+pub const MARGIN: f64 = 25.0;
 
 /// How many times its degrees of freedom a misfit may be before the evidence contradicts itself.
-const CONTRADICTION: f64 = 16.0;
+pub const CONTRADICTION: f64 = 16.0;
 
 /// Undecided trials beyond this are not searched: 2⁸ combinations.
-const MOST_UNDECIDED: usize = 8;
+pub const MOST_UNDECIDED: usize = 8;
 
 /// The hand of every trial, proven.
 #[derive(Clone, Debug)]
@@ -108,12 +108,20 @@ pub fn prove(
 }
 
 /// The hands that one trial's own evidence leaves.
-struct PossibleHands {
-    hands: Vec<Hand>,
-    evidence: Option<HandednessEvidence>,
+pub struct PossibleHands {
+    /// One or both.
+    pub hands: Vec<Hand>,
+    /// What left only one; `None` where both are possible.
+    pub evidence: Option<HandednessEvidence>,
 }
 
-fn possible_hands(
+/// The hands that the known loads of a trial (numbered from zero) and its sense of turning leave.
+///
+/// # Errors
+///
+/// [`CalibrationRefusal::KnownLoadsContradict`], [`CalibrationRefusal::TurningContradicts`],
+/// [`CalibrationRefusal::TurningUnclear`].
+pub fn possible_hands(
     trial: usize,
     solved: &SolvedTrial,
     alignment: &Alignment,
@@ -185,7 +193,9 @@ impl Combination {
                 shape: oriented_shape(solved, &alignment.candidate(hand).orientation, gravity),
                 arm_m: solved.case.arm_m.clone(),
                 covariance: alignment.covariance.clone(),
-                gain_uncertainty: solved.uncertainty.gain,
+                gain_uncertainty: solved.shape.covariance.gain_deviation(),
+                arm_accuracy_m: solved.case.arm_accuracy_m,
+                mass_accuracy: solved.case.mass_accuracy_kg / solved.case.mass_kg,
             })
             .collect();
         let alignment_misfit =

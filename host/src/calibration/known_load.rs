@@ -27,6 +27,10 @@ pub struct LoadCase {
     pub mass_kg: f64,
     /// The moment arm, metre, in the sensor frame: r components, none for force sensors.
     pub arm_m: DVector<f64>,
+    /// Standard deviation of each component of the arm, metre.
+    pub arm_accuracy_m: f64,
+    /// Standard deviation of the mass, kilogram.
+    pub mass_accuracy_kg: f64,
     /// The known loads.
     pub known_loads: Vec<KnownLoad>,
 }

@@ -91,6 +91,7 @@ pub fn calibrate(
         shape,
         handedness: Handedness::Proven,
         fusion_residual: residual,
+        uncertainty: None,
         trials: cases.iter().map(LoadCase::record).collect(),
     }
     .finite()
@@ -188,7 +189,14 @@ mod tests {
                         },
                     })
                     .collect();
-                LoadCase { name: String::new(), mass_kg, arm_m, known_loads }
+                LoadCase {
+                    name: String::new(),
+                    mass_kg,
+                    arm_m,
+                    arm_accuracy_m: 0.0,
+                    mass_accuracy_kg: 0.0,
+                    known_loads,
+                }
             })
             .collect()
     }

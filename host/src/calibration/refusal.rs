@@ -14,11 +14,6 @@ pub enum CalibrationRefusal {
         /// Its cause.
         refusal: Refusal,
     },
-    /// The motion of a trial does not tell how certain its shape is.
-    TrialUncertain {
-        /// The trial.
-        trial: usize,
-    },
     /// Nothing says how a trial is oriented.
     NoKnownLoad {
         /// The trial.
@@ -98,6 +93,13 @@ pub enum CalibrationRefusal {
         /// The fusion residual.
         residual: f64,
         /// The misfit in standard deviations.
+        ratio: f64,
+    },
+    /// The trials fit together only if a mass is not what the session says.
+    MassesContradict {
+        /// The trial whose mass is farthest off.
+        trial: usize,
+        /// The mass that turned over the one that the session says, if the other masses are right.
         ratio: f64,
     },
     /// Fewer arms than the torques need.

@@ -8,6 +8,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
+use super::consistency::{ARM_ACCURACY_M, MASS_ACCURACY};
 use super::known_load::{KnownLoad, LoadCase, average, squashing_matrix};
 use super::singular::Singular;
 use super::trial::Gating;
@@ -108,12 +109,12 @@ impl Sensor {
             name: "trial.csv".to_owned(),
             mass_kg,
             arm_m: DVector::from_column_slice(arm_m),
+            arm_accuracy_m: ARM_ACCURACY_M,
+            mass_accuracy_kg: MASS_ACCURACY * mass_kg,
             known_loads,
         };
         let shape = trial::solve(&recording, self.dof.trial_rank(), Gating::On).expect("the motion spans");
-        let uncertainty =
-            motion::recover(&recording, &shape).expect("invertible").uncertainty().expect("the motion spans");
-        SolvedTrial { case, shape, uncertainty, turned: None }
+        SolvedTrial { case, shape, turned: None }
     }
 
     /// The same, with the sense of turning stated: these trials turn counterclockwise.

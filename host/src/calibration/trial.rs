@@ -19,6 +19,7 @@ use ftcal_shared::wire::{Solution, TrialStatus};
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
+use super::covariance::TrialCovariance;
 use crate::recording::Recording;
 
 /// Whether restless samples may be left out.
@@ -93,6 +94,8 @@ pub struct TrialShape {
     pub bias_counts: DVector<f64>,
     /// S (r × p), counts per unit load: z = b + Sᵀm with |m| = 1, up to a rotation and a mirror image.
     pub shape_counts_per_load: DMatrix<f64>,
+    /// How certain shape and bias are.
+    pub covariance: TrialCovariance,
 }
 
 impl TrialShape {
@@ -204,6 +207,7 @@ fn in_counts<const GAGES: usize, const RANK: usize>(
         noise_counts: solution.noise_variance.map(|variance| variance.max(0.0).sqrt() * step),
         bias_counts: bias_codes * step + quantisation.offset_counts(),
         shape_counts_per_load: shape_codes * step,
+        covariance: TrialCovariance::new(&solution.uncertainty, step),
     };
     let numbers = shape.eigenvalues.iter().chain(&shape.bias_counts).chain(&shape.shape_counts_per_load);
     if numbers.chain(&shape.noise_counts).all(|number| number.is_finite()) {

@@ -23,7 +23,7 @@ pub struct Arguments {
     /// Where to write the calibration
     #[arg(short, long, default_value = "calibration.json")]
     pub output: PathBuf,
-    /// Shape from motion, or least squares on the known loads alone
+    /// Shape from motion, all trials jointly or staged as in the paper; or least squares on the known loads alone
     #[arg(long, value_enum, default_value = "sfm")]
     pub method: Method,
     /// Leave out samples during which the load moved too much, where that serves the answer, and those of a converter that
@@ -89,6 +89,13 @@ pub fn summarise(calibration: &Calibration, out: &mut dyn Write) -> io::Result<(
         )?,
     }
     writeln!(out, "handedness proven; fusion residual {:.3} %", 100.0 * calibration.fusion_residual)?;
+    if let Some(uncertainty) = &calibration.uncertainty {
+        write!(out, "uncertainty at full load (one standard deviation):")?;
+        for (axis, deviation) in calibration.dof.axes().iter().zip(&uncertainty.per_axis_full_load) {
+            write!(out, " {} {deviation:.2e}", super::apply::column_name(*axis))?;
+        }
+        writeln!(out)?;
+    }
     for trial in &calibration.trials {
         write!(out, "{}: {} kg, {} known loads", trial.recording, trial.mass_kg, trial.known_loads)?;
         if let Some(solution) = &trial.solution {

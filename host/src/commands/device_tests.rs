@@ -72,6 +72,7 @@ fn true_calibration(board: &ServedBoard, path: &Path) -> Calibration {
         shape: sensor.shape().clone(),
         handedness: Handedness::Proven,
         fusion_residual: 0.0,
+        uncertainty: None,
         trials: Vec::new(),
     };
     let mut file = Vec::new();

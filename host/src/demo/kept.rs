@@ -28,6 +28,9 @@ struct Trial {
     #[serde(skip_serializing_if = "Vec::is_empty")]
     arm_m: Vec<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    arm_accuracy_m: Option<f64>,
+    mass_accuracy_kg: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
     turning: Option<Turning>,
     known_load: Vec<KnownLoad>,
 }
@@ -63,6 +66,8 @@ pub fn keep(acquired: &[AcquiredTrial], dof: Dof, folder: &Path) -> Result<(), D
             recording: case.name.clone(),
             mass_kg: case.mass_kg,
             arm_m: case.arm_m.iter().copied().collect(),
+            arm_accuracy_m: dof.has_torque().then_some(case.arm_accuracy_m),
+            mass_accuracy_kg: case.mass_accuracy_kg,
             turning: trial.solved.turned.map(|turned| turned.claimed),
             known_load,
         });

@@ -6,7 +6,7 @@
 //!
 //! 1. [`trials`]: hang the mass at each arm, turn the sensor at random, let the sensor solve its own trial; then hold it at a
 //!    few known directions.
-//! 2. orient, prove the handedness, fuse ([`crate::calibration`]); write the calibration file; upload it.
+//! 2. solve all trials jointly: the arms orient the frame, the known loads choose ([`crate::calibration`]); write the calibration file; upload it.
 //! 3. [`mod@reference`]: the same sensor calibrated by least squares (eq. 3) on 13 known loads.
 //! 4. [`validation`]: loads that neither calibration has seen, measured with both.
 //! 5. [`report`] and [`figures`]: tables against the truth, and the paper's figures 5, 6, 8, 9.
@@ -160,7 +160,7 @@ pub fn run(options: &Options, out: &mut dyn Write, progress: &mut dyn Write) -> 
         1 => writeln!(progress, "Oriented by its known loads, handedness proven.")?,
         trials => writeln!(
             progress,
-            "Oriented, handedness proven, {trials} arms fused; they agree to {:.2} %.",
+            "Solved jointly: {trials} arms orient each other, handedness proven; they agree to {:.2} %.",
             100.0 * calibration.fusion_residual
         )?,
     }

@@ -9,6 +9,7 @@ use nalgebra::{DVector, Unit, UnitVector3, Vector3};
 
 use super::trials::{GRAVITY, arm_components, hold_and_record};
 use super::{DemoError, Stage};
+use crate::calibration::consistency::ARM_ACCURACY_M;
 use crate::calibration::known_load::{KnownLoad, LoadCase, average};
 use crate::calibration::{Calibration, CalibrationRefusal, least_squares};
 use crate::simulator::bench::Load;
@@ -42,6 +43,8 @@ pub fn calibrate(
             name: format!("known load {}", number + 1),
             mass_kg: load.mass_kg,
             arm_m: arm_components(dof, &load),
+            arm_accuracy_m: ARM_ACCURACY_M,
+            mass_accuracy_kg: stage.workmanship.force_newton / GRAVITY,
             known_loads: vec![KnownLoad {
                 direction: DVector::from_iterator(rank, direction.iter().copied().take(rank)),
                 accuracy_rad: stage.workmanship.direction_rad,

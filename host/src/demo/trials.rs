@@ -11,6 +11,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::{DemoError, Stage};
+use crate::calibration::consistency::ARM_ACCURACY_M;
+use crate::calibration::covariance::TrialCovariance;
 use crate::calibration::known_load::{KnownLoad, LoadCase, average};
 use crate::calibration::motion;
 use crate::calibration::trial::{self, Gating, SampleCounts, TrialShape};
@@ -78,8 +80,9 @@ pub fn acquire(
             trial.load.mass_kg,
         )?;
         let (recording, solution, status) = turn_and_solve(stage, trial, rank)?;
+        // The sensor sends its answer alone; how certain that is follows from the same codes.
         let on_host = trial::solve(&recording, rank, Gating::On).map_err(refused(index))?;
-        let shape = from_sensor(&solution, &status, on_host.taken);
+        let shape = from_sensor(&solution, &status, on_host.taken, on_host.covariance);
         let difference = relative_difference(&shape.shape_counts_per_load, &on_host.shape_counts_per_load);
         writeln!(
             progress,
@@ -93,7 +96,6 @@ pub fn acquire(
             },
         )?;
         let motion = motion::recover(&recording, &shape).map_err(refused(index))?;
-        let uncertainty = motion.uncertainty().ok_or(CalibrationRefusal::TrialUncertain { trial: index })?;
         let turned = trial.turning.map(|turning| Turned { claimed: claimed(turning), swept: swept(&motion) });
 
         let mut rests = Vec::with_capacity(trial.known_directions.len());
@@ -113,13 +115,11 @@ pub fn acquire(
             name: recording_name(index),
             mass_kg: trial.load.mass_kg,
             arm_m: arm_components(scenario.sensor.dof(), &trial.load),
+            arm_accuracy_m: ARM_ACCURACY_M,
+            mass_accuracy_kg: stage.workmanship.force_newton / GRAVITY,
             known_loads,
         };
-        acquired.push(AcquiredTrial {
-            solved: SolvedTrial { case, shape, uncertainty, turned },
-            recording,
-            rests,
-        });
+        acquired.push(AcquiredTrial { solved: SolvedTrial { case, shape, turned }, recording, rests });
     }
     Ok(acquired)
 }
@@ -261,9 +261,14 @@ fn recording_of(samples: &[Sample]) -> Recording {
     Recording::from_codes(gages, times, codes)
 }
 
-/// The sensor's solution as the host's calibration takes it. Which samples took part is what the host found: the sensor does the
-/// same and tells their number.
-fn from_sensor(solution: &Solution, status: &TrialStatus, taken: Vec<bool>) -> TrialShape {
+/// The sensor's solution as the host's calibration takes it. Which samples took part, and how certain the answer is, is what
+/// the host found: the sensor does the same and tells the answer alone.
+fn from_sensor(
+    solution: &Solution,
+    status: &TrialStatus,
+    taken: Vec<bool>,
+    covariance: TrialCovariance,
+) -> TrialShape {
     let gages = solution.bias_counts.len();
     TrialShape {
         samples: SampleCounts::on_the_sensor(status, solution),
@@ -276,6 +281,7 @@ fn from_sensor(solution: &Solution, status: &TrialStatus, taken: Vec<bool>) -> T
             gages,
             &solution.shape_counts_per_load,
         ),
+        covariance,
     }
 }
 

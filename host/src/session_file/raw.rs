@@ -9,6 +9,8 @@ use nalgebra::DVector;
 use serde::Deserialize;
 use toml::Spanned;
 
+use crate::calibration::consistency::{ARM_ACCURACY_M, MASS_ACCURACY};
+
 use super::{Rest, STANDARD_GRAVITY, SessionKnownLoad, SessionTrial, Turning, place};
 
 /// Gravity, mass and arm outside these are slips of the unit, not sensors; m/s², kg and m.
@@ -21,6 +23,12 @@ const ASSUMED_ACCURACY_DEG: f64 = 1.0;
 
 /// No direction is believed to be better than this, whatever is stated: 0.2 mrad.
 const BEST_ACCURACY_DEG: f64 = 0.01;
+
+/// Accuracies beyond these are none, and none is believed to be better than these: a micrometre, a millionth.
+const ROUGHEST_ARM_M: f64 = 0.1;
+const BEST_ARM_ACCURACY_M: f64 = 1e-6;
+const ROUGHEST_MASS: f64 = 0.5;
+const BEST_MASS_ACCURACY: f64 = 1e-6;
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -37,6 +45,8 @@ struct Trial {
     recording: Spanned<String>,
     mass_kg: Spanned<f64>,
     arm_m: Option<Spanned<Vec<f64>>>,
+    arm_accuracy_m: Option<Spanned<f64>>,
+    mass_accuracy_kg: Option<Spanned<f64>>,
     turning: Option<Spanned<Turning>>,
     #[serde(default)]
     known_load: Vec<KnownLoad>,
@@ -107,6 +117,8 @@ impl Trial {
             recording: context.folder.join(file_name(&self.recording)?),
             mass_kg: *self.mass_kg.as_ref(),
             arm_m: self.arm(context.dof)?,
+            arm_accuracy_m: self.arm_accuracy(context.dof)?,
+            mass_accuracy_kg: self.mass_accuracy()?,
             turning: self.turning.as_ref().map(|turning| *turning.as_ref()),
             known_loads: self
                 .known_load
@@ -115,6 +127,37 @@ impl Trial {
                 .collect::<Result<_, _>>()?,
             place: place(context.text, self.recording.span().start),
         })
+    }
+
+    fn arm_accuracy(&self, dof: Dof) -> Result<f64, Unexpected> {
+        match &self.arm_accuracy_m {
+            None => Ok(ARM_ACCURACY_M),
+            Some(accuracy) if !dof.has_torque() => {
+                let expected = "no `arm_accuracy_m`: the sensor measures no torque";
+                Err(Unexpected::at(accuracy, expected, "one"))
+            }
+            Some(accuracy) if (0.0..=ROUGHEST_ARM_M).contains(accuracy.as_ref()) => {
+                Ok(accuracy.as_ref().max(BEST_ARM_ACCURACY_M))
+            }
+            Some(accuracy) => {
+                let expected = format!("an accuracy from 0 to {ROUGHEST_ARM_M} m");
+                Err(Unexpected::at(accuracy, expected, accuracy.as_ref().to_string()))
+            }
+        }
+    }
+
+    fn mass_accuracy(&self) -> Result<f64, Unexpected> {
+        let mass_kg = *self.mass_kg.as_ref();
+        match &self.mass_accuracy_kg {
+            None => Ok(MASS_ACCURACY * mass_kg),
+            Some(accuracy) if (0.0..=ROUGHEST_MASS * mass_kg).contains(accuracy.as_ref()) => {
+                Ok(accuracy.as_ref().max(BEST_MASS_ACCURACY * mass_kg))
+            }
+            Some(accuracy) => {
+                let expected = format!("an accuracy from 0 to {} kg, half the mass", ROUGHEST_MASS * mass_kg);
+                Err(Unexpected::at(accuracy, expected, accuracy.as_ref().to_string()))
+            }
+        }
     }
 
     fn arm(&self, dof: Dof) -> Result<DVector<f64>, Unexpected> {

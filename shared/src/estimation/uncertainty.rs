@@ -94,6 +94,18 @@ pub fn predict<const RANK: usize>(
 }
 
 impl<const RANK: usize> TrialUncertainty<RANK> {
+    /// Covariance along the shape: the elements (a ≤ b) of E/2 row by row, then h/2; only the first
+    /// RANK·(RANK + 1)/2 + RANK rows and columns mean anything. Relative to the shape, and to the load.
+    pub const fn along(&self) -> &SMatrix<f64, UNKNOWNS, UNKNOWNS> {
+        &self.along
+    }
+
+    /// Covariance across the shape: of the regression on m and, last, on 1, counts², in every redundant direction of
+    /// the codes. At rank 2 the third row and column mean nothing.
+    pub const fn across(&self) -> &SMatrix<f64, REGRESSORS, REGRESSORS> {
+        &self.across
+    }
+
     /// Standard deviations of the elements of `shape` (r × p, counts per unit load, rows orthogonal), up to its
     /// orientation.
     pub fn shape_deviation<const GAGES: usize>(

@@ -1,0 +1,114 @@
+//! How certain the shape and the bias of one trial are, in the counts of its recording (design § 4).
+//!
+//! The estimator's prediction, with dimensions known at run time. In the trial's own frame an error of the shape is
+//! δS = (E/2)S along the shape, and an independent regression error in each of the p − r directions of the codes across
+//! it; that of the bias is Sᵀh/2 along and a regression error across. A turn of the frame is no error: the orientation is
+//! arbitrary.
+
+use ftcal_shared::estimation::uncertainty::TrialUncertainty;
+use nalgebra::DMatrix;
+
+/// Covariances of one trial's shape and bias.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrialCovariance {
+    /// Of the elements (a ≤ b) of E/2, row by row, then of h/2 (r): relative.
+    along: DMatrix<f64>,
+    /// Of the regression on m (r) and on 1, counts², in each direction of the codes across the shape.
+    across: DMatrix<f64>,
+}
+
+impl TrialCovariance {
+    /// The estimator's prediction, whose codes are `counts_per_code` counts each.
+    pub fn new<const RANK: usize>(uncertainty: &TrialUncertainty<RANK>, counts_per_code: f64) -> Self {
+        let unknowns = RANK * (RANK + 1) / 2 + RANK;
+        let regressors = uncertainty.across().nrows();
+        let position = |regressor: usize| if regressor < RANK { regressor } else { regressors - 1 };
+        Self {
+            along: DMatrix::from_fn(unknowns, unknowns, |a, b| uncertainty.along()[(a, b)]),
+            across: DMatrix::from_fn(RANK + 1, RANK + 1, |a, b| {
+                uncertainty.across()[(position(a), position(b))] * counts_per_code * counts_per_code
+            }),
+        }
+    }
+
+    /// Covariance of the elements (a ≤ b) of E/2, row by row.
+    pub fn gains(&self) -> DMatrix<f64> {
+        let gains = self.gain_count();
+        self.along.view((0, 0), (gains, gains)).into_owned()
+    }
+
+    /// Covariance (r × r) of the shape's rows in each direction of the codes across it, (counts per unit load)².
+    pub fn redundant(&self) -> DMatrix<f64> {
+        let rank = self.rank();
+        self.across.view((0, 0), (rank, rank)).into_owned()
+    }
+
+    /// Standard deviation of the least certain gain, relative.
+    pub fn gain_deviation(&self) -> f64 {
+        largest_deviation(&self.along, 0..self.gain_count())
+    }
+
+    /// Standard deviation of the least certain component of the bias, as a share of the load.
+    pub fn bias_deviation(&self) -> f64 {
+        largest_deviation(&self.along, self.gain_count()..self.along.nrows())
+    }
+
+    /// Covariance of the bias (p × p), counts², of a trial of this shape (r × p, counts per unit load).
+    pub fn bias(&self, shape: &DMatrix<f64>) -> DMatrix<f64> {
+        let (rank, gains, gages) = (self.rank(), self.gain_count(), shape.ncols());
+        let along = shape.transpose() * self.along.view((gains, gains), (rank, rank)) * shape;
+        let spanned = super::matrix::matrix_of_shape(shape)
+            .map_or_else(|_| DMatrix::zeros(gages, gages), |matrix| shape.transpose() * matrix);
+        along + (DMatrix::identity(gages, gages) - spanned) * self.across[(rank, rank)]
+    }
+
+    fn rank(&self) -> usize {
+        self.across.nrows() - 1
+    }
+
+    fn gain_count(&self) -> usize {
+        self.along.nrows() - self.rank()
+    }
+}
+
+fn largest_deviation(covariance: &DMatrix<f64>, range: std::ops::Range<usize>) -> f64 {
+    range.map(|unknown| covariance[(unknown, unknown)]).fold(0.0, f64::max).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use ftcal_shared::units::Dof;
+    use nalgebra::DMatrix;
+
+    use crate::calibration::synthetic::{Sensor, sphere};
+    use crate::calibration::trial::solve;
+    use crate::session_file::STANDARD_GRAVITY;
+
+    #[test]
+    fn the_predicted_uncertainty_is_that_of_repeated_trials() {
+        let mut sensor = Sensor::new(Dof::SpatialForce, 6, 1);
+        sensor.noise_counts *= 10.0;
+        let truth = sensor.shape.transpose() * &sensor.shape;
+        let (repetitions, mut predicted, mut observed) = (40, 0.0, 0.0);
+        let mut bias = DMatrix::zeros(6, 6);
+        let mut bias_observed = 0.0;
+        for _ in 0..repetitions {
+            let recording = sensor.record(1.0, &[], &sphere(400));
+            let trial = solve(&recording, 3).expect("the motion spans");
+            predicted += trial.covariance.gain_deviation().powi(2) / f64::from(repetitions);
+            // SᵀS is free of the arbitrary orientation; a relative error e of S is one of 2e there.
+            let shape = &trial.shape_counts_per_load / STANDARD_GRAVITY;
+            let error = (shape.transpose() * &shape - &truth).norm() / truth.norm() / 2.0;
+            observed += error.powi(2) / f64::from(repetitions);
+            bias += trial.covariance.bias(&trial.shape_counts_per_load) / f64::from(repetitions);
+            bias_observed +=
+                (&trial.bias_counts - &sensor.bias_counts).norm_squared() / f64::from(repetitions);
+        }
+        // The prediction is for the worst single gain, the observation for all together: equal within a small factor.
+        let ratio = (predicted / observed).sqrt();
+        assert!((0.4..2.5).contains(&ratio), "{ratio}");
+        // Six components, forty repetitions: the root mean square is known to about 1/√(2·6·40) = 5 %, three times that.
+        let ratio = (bias.trace() / bias_observed).sqrt();
+        assert!((0.85..1.15).contains(&ratio), "{ratio}");
+    }
+}

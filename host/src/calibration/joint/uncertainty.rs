@@ -1,0 +1,124 @@
+//! How certain the calibration is: the covariance of the joint solution, carried to the matrix and to a wrench.
+//!
+//! The inverse of the normal matrix is the covariance of all unknowns; of it only that of S̃ matters, in which the errors of
+//! orientations, arms and masses are contained. With A = S̃ᵀ and C = A⁺,
+//!
+//! ```text
+//! δC = −C δA C + (AᵀA)⁻¹ δAᵀ (I − A C)
+//! ```
+//!
+//! and the wrench of a load w is wrong by −C δA w + C δb. Masses are weighed on one scale: what they have in common does
+//! not average out over the trials, so that share of their variance is added again.
+
+use nalgebra::{DMatrix, DVector};
+
+use super::super::matrix::matrix_of_shape;
+use super::refinement::{Fit, Problem};
+
+/// Standard deviations of a calibration.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Uncertainty {
+    /// Of each element of the matrix (m × p), newton and newton metre per count.
+    pub matrix: DMatrix<f64>,
+    /// Of each component of a wrench (m), newton and newton metre: the root mean square over the loads of the trials in
+    /// all directions.
+    pub per_axis_full_load: DVector<f64>,
+}
+
+/// What the covariance of the joint solution tells.
+#[derive(Clone, Debug)]
+pub struct Propagated {
+    /// Standard deviations.
+    pub uncertainty: Uncertainty,
+    /// The predicted error of a wrench, relative, torques divided by the characteristic arm length.
+    pub wrench_error: f64,
+}
+
+/// Carries the covariance of a solution over to its calibration, or `None` where the observations leave it open.
+///
+/// `newtons` are the loads of the trials, `bias` the covariance of the bias (p × p), counts², and `strain` how many times
+/// larger than expected the misfit is.
+pub fn propagate(
+    problem: &Problem,
+    fit: &Fit,
+    newtons: &[f64],
+    bias: &DMatrix<f64>,
+    strain: f64,
+) -> Option<Propagated> {
+    let (components, gages) = (problem.components(), problem.gages());
+    let shape = &fit.state.shape;
+    let matrix = matrix_of_shape(shape).ok()?;
+    let covariance = shape_covariance(problem, fit)? * strain;
+    let common_mass = common_mass_variance(problem);
+
+    let across = DMatrix::identity(gages, gages) - shape.transpose() * &matrix;
+    let gram_inverse = &matrix * matrix.transpose();
+    let elements = DMatrix::from_fn(components, gages, |row, column| {
+        // δC by the change of S̃ in component c and gage k.
+        let gradient = DMatrix::from_fn(components, gages, |c, k| {
+            gram_inverse[(row, c)] * across[(k, column)] - matrix[(row, k)] * matrix[(c, column)]
+        });
+        let variance = quadratic_form(&covariance, gradient.as_slice());
+        (variance + common_mass * matrix[(row, column)].powi(2)).max(0.0).sqrt() * problem.lengths[row]
+    });
+
+    let loads = mean_square_load(problem, fit, newtons);
+    let of_bias = &matrix * bias * matrix.transpose();
+    let mut wrench_variance = 0.0;
+    let per_axis = DVector::from_fn(components, |row, _| {
+        // Component c of −C δA is −Σₖ C[row, k] δS̃[c, k]: its covariance over pairs of components.
+        let errors = DMatrix::from_fn(components, components, |c, d| {
+            let mut sum = 0.0;
+            for k in 0..gages {
+                for l in 0..gages {
+                    let element = covariance[(k * components + c, l * components + d)];
+                    sum += matrix[(row, k)] * matrix[(row, l)] * element;
+                }
+            }
+            sum
+        });
+        wrench_variance += errors.trace();
+        let scale = errors.component_mul(&loads).sum() + common_mass * loads[(row, row)];
+        (scale + of_bias[(row, row)]).max(0.0).sqrt() * problem.lengths[row]
+    });
+    let wrench_error = (wrench_variance / components as f64).sqrt();
+    let uncertainty = Uncertainty { matrix: elements, per_axis_full_load: per_axis };
+    let finite = uncertainty.matrix.iter().chain(&uncertainty.per_axis_full_load).all(|x| x.is_finite());
+    (finite && wrench_error.is_finite()).then_some(Propagated { uncertainty, wrench_error })
+}
+
+/// The covariance of S̃, column by column, from the normal matrix.
+fn shape_covariance(problem: &Problem, fit: &Fit) -> Option<DMatrix<f64>> {
+    let own = problem.observations.len() * problem.own_unknowns();
+    let wide = fit.normal.nrows() - own;
+    // Brought to a diagonal of ones first: the unknowns differ by many orders of magnitude.
+    let scale = fit.normal.diagonal().map(|element| 1.0 / element.sqrt());
+    let scaled = DMatrix::from_fn(fit.normal.nrows(), fit.normal.ncols(), |a, b| {
+        fit.normal[(a, b)] * scale[a] * scale[b]
+    });
+    let inverse = scaled.cholesky()?.inverse();
+    Some(DMatrix::from_fn(wide, wide, |a, b| inverse[(own + a, own + b)] * scale[own + a] * scale[own + b]))
+}
+
+/// The variance that all masses have in common, relative, beyond what is left of it in the mean of the trials.
+fn common_mass_variance(problem: &Problem) -> f64 {
+    let trials = problem.observations.len().max(1) as f64;
+    let variance = problem.observations.iter().map(|trial| trial.mass_accuracy.powi(2)).sum::<f64>() / trials;
+    variance * (1.0 - 1.0 / trials)
+}
+
+/// ⟨wwᵀ⟩ over the loads of the trials in all directions, torques divided by the characteristic length.
+fn mean_square_load(problem: &Problem, fit: &Fit, newtons: &[f64]) -> DMatrix<f64> {
+    let mut mean = DMatrix::zeros(problem.components(), problem.components());
+    for (trial, newton) in newtons.iter().enumerate() {
+        // A torque of the scaled shape is F · arm / length.
+        let squashing = problem.squashing(&problem.arm_m(trial, &fit.state));
+        mean += squashing.transpose() * &squashing * (newton * newton / problem.rank as f64);
+    }
+    mean / newtons.len().max(1) as f64
+}
+
+fn quadratic_form(covariance: &DMatrix<f64>, gradient: &[f64]) -> f64 {
+    let gradient = DVector::from_column_slice(gradient);
+    gradient.dot(&(covariance * &gradient))
+}
