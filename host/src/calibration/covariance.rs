@@ -81,7 +81,7 @@ mod tests {
     use nalgebra::DMatrix;
 
     use crate::calibration::synthetic::{Sensor, sphere};
-    use crate::calibration::trial::solve;
+    use crate::calibration::trial::{Gating, solve};
     use crate::session_file::STANDARD_GRAVITY;
 
     #[test]
@@ -94,7 +94,7 @@ mod tests {
         let mut bias_observed = 0.0;
         for _ in 0..repetitions {
             let recording = sensor.record(1.0, &[], &sphere(400));
-            let trial = solve(&recording, 3).expect("the motion spans");
+            let trial = solve(&recording, 3, Gating::On).expect("the motion spans");
             predicted += trial.covariance.gain_deviation().powi(2) / f64::from(repetitions);
             // SᵀS is free of the arbitrary orientation; a relative error e of S is one of 2e there.
             let shape = &trial.shape_counts_per_load / STANDARD_GRAVITY;

@@ -27,7 +27,7 @@ const SHIFT_OVER_UNEXPLAINED: f64 = 0.375;
 pub struct Bins<const GAGES: usize, const HIGHER: usize> {
     gate: Gate<GAGES>,
     /// One for each [`Quietness`]. Once finished, each holds the quieter ones, too.
-    bins: [Moments<GAGES, HIGHER>; Quietness::ALL.len()],
+    by_quietness: [Moments<GAGES, HIGHER>; Quietness::ALL.len()],
     finished: bool,
     /// Why a sample could not be summed up.
     full: Option<Refusal>,
@@ -53,7 +53,7 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
     pub const fn new() -> Self {
         Self {
             gate: Gate::new(),
-            bins: [const { Moments::new([AdcCode::ZERO; GAGES]) }; Quietness::ALL.len()],
+            by_quietness: [const { Moments::new([AdcCode::ZERO; GAGES]) }; Quietness::ALL.len()],
             finished: false,
             full: None,
         }
@@ -64,7 +64,7 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
         self.gate = Gate::new();
         self.finished = false;
         self.full = None;
-        for bin in &mut self.bins {
+        for bin in &mut self.by_quietness {
             bin.restart([AdcCode::ZERO; GAGES]);
         }
     }
@@ -75,8 +75,8 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
     ///
     /// [`Refusal::OverflowAhead`] where the sums are full; what they hold stays good.
     pub fn offer(&mut self, codes: &[AdcCode; GAGES]) -> Result<Verdict, Refusal> {
-        let Self { gate, bins, full, .. } = self;
-        let verdict = gate.offer(codes, &mut |quietness, codes| push(bins, full, quietness, codes));
+        let Self { gate, by_quietness, full, .. } = self;
+        let verdict = gate.offer(codes, &mut |quietness, codes| push(by_quietness, full, quietness, codes));
         full.map_or(Ok(verdict), Err)
     }
 
@@ -89,7 +89,7 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
         if codes.iter().any(|code| code.is_saturated()) {
             return Ok(Verdict::Saturated);
         }
-        push(&mut self.bins, &mut self.full, Quietness::Still, codes);
+        push(&mut self.by_quietness, &mut self.full, Quietness::Still, codes);
         self.full.map_or(Ok(Verdict::Accepted), Err)
     }
 
@@ -102,10 +102,10 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
         if self.finished {
             return Ok(());
         }
-        let Self { gate, bins, full, finished } = self;
-        gate.finish(&mut |quietness, codes| push(bins, full, quietness, codes));
+        let Self { gate, by_quietness, full, finished } = self;
+        gate.finish(&mut |quietness, codes| push(by_quietness, full, quietness, codes));
         *finished = true;
-        let [still, slow, fast] = bins;
+        let [still, slow, fast] = by_quietness;
         still.settle();
         slow.absorb(still)?;
         fast.absorb(slow)
@@ -117,13 +117,13 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
     ///
     /// Every refusal of [`super::shape::solve_trial`]: where no choice of classes has an answer, that of all samples together.
     pub fn solve<const RANK: usize>(&self) -> Result<QuietSolution<GAGES, RANK>, Refusal> {
-        let [.., all] = &self.bins;
+        let [.., all] = &self.by_quietness;
         require_samples::<RANK>(all.count())?;
         let subspace = basis::<GAGES, RANK>(&all.covariance(), all.count())?;
         let mut best: Option<(f64, QuietSolution<GAGES, RANK>)> = None;
         let mut refusal = Refusal::NonFinite;
         let mut quieter = 0;
-        for (bin, up_to) in self.bins.iter().zip(Quietness::ALL) {
+        for (bin, up_to) in self.by_quietness.iter().zip(Quietness::ALL) {
             if bin.count() == quieter {
                 continue;
             }
