@@ -18,7 +18,7 @@ const QUANTISATION_VARIANCE: f64 = 1.0 / 12.0;
 
 /// Sums up what samples say, one by one.
 #[derive(Clone, Debug)]
-pub struct Information<const GAGES: usize, const RANK: usize> {
+pub(crate) struct Information<const GAGES: usize, const RANK: usize> {
     shape: SMatrix<f64, RANK, GAGES>,
     noise_variance: f64,
     sum: DMatrix<f64>,
@@ -26,7 +26,7 @@ pub struct Information<const GAGES: usize, const RANK: usize> {
 
 impl<const GAGES: usize, const RANK: usize> Information<GAGES, RANK> {
     /// Nothing yet.
-    pub fn new(sensor: &KnownSensor<GAGES, RANK>) -> Self {
+    pub(crate) fn new(sensor: &KnownSensor<GAGES, RANK>) -> Self {
         let parameters = (RANK + 1) * GAGES;
         Self {
             shape: sensor.shape,
@@ -36,7 +36,7 @@ impl<const GAGES: usize, const RANK: usize> Information<GAGES, RANK> {
     }
 
     /// Adds a sample whose load points in direction `m`, a unit vector.
-    pub fn add(&mut self, m: &SVector<f64, RANK>) {
+    pub(crate) fn add(&mut self, m: &SVector<f64, RANK>) {
         let across = self.across(m);
         let regressor = DVector::from_fn(RANK + 1, |row, _| if row < RANK { m[row] } else { 1.0 });
         for a in 0..=RANK {
@@ -64,7 +64,7 @@ impl<const GAGES: usize, const RANK: usize> Information<GAGES, RANK> {
     }
 
     /// The least mean square error of S, counts² per load², summed over its elements.
-    pub fn least_shape_error(&self) -> f64 {
+    pub(crate) fn least_shape_error(&self) -> f64 {
         let eigen = (&self.sum / self.noise_variance).symmetric_eigen();
         let mut order: Vec<usize> = (0..eigen.eigenvalues.len()).collect();
         order.sort_by(|&left, &right| eigen.eigenvalues[left].total_cmp(&eigen.eigenvalues[right]));

@@ -17,7 +17,7 @@ const SHARE_OF_SIGNAL: f64 = 0.05;
 
 /// How the load moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Motion {
+pub(crate) enum Motion {
     /// Around a circle through the centre, wobbling out of it by up to 10°.
     Plane,
     /// Within 10 to 60° of one direction.
@@ -35,7 +35,7 @@ pub enum Motion {
 }
 
 /// Every one of them.
-pub const MOTIONS: [Motion; 7] = [
+pub(crate) const MOTIONS: [Motion; 7] = [
     Motion::Plane,
     Motion::Cap,
     Motion::CubeFaces,
@@ -47,7 +47,7 @@ pub const MOTIONS: [Motion; 7] = [
 
 /// What became of one case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Outcome {
+pub(crate) enum Outcome {
     /// No answer was given.
     Refused,
     /// The answer is as good as it says, or good enough.
@@ -57,7 +57,7 @@ pub enum Outcome {
 }
 
 /// One case: its seed chooses noise, roundness, samples and the motion's parameters.
-pub fn case<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
+pub(crate) fn case<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
     motion: Motion,
     seed: u64,
 ) -> Outcome {

@@ -18,7 +18,9 @@ const REPETITIONS: u64 = 1500;
 const NINETY_FIVE: f64 = 1.959_964;
 
 /// RMS error of S over the bound: both over random sensors of the setting. Every trial must be solved.
-pub fn error_over_bound<const GAGES: usize, const HIGHER: usize, const RANK: usize>(setting: Setting) -> f64 {
+pub(crate) fn error_over_bound<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
+    setting: Setting,
+) -> f64 {
     let (mut squared_error, mut least) = (0.0, 0.0);
     for repetition in 0..REPETITIONS {
         let mut rng = random(repetition);
@@ -36,18 +38,20 @@ pub fn error_over_bound<const GAGES: usize, const HIGHER: usize, const RANK: usi
 
 /// How honest the predictions are.
 #[derive(Clone, Copy, Debug)]
-pub struct Honesty {
+pub(crate) struct Honesty {
     /// The least ratio of predicted to observed standard deviation of any coefficient.
-    pub least_ratio: f64,
+    pub(crate) least_ratio: f64,
     /// The largest.
-    pub largest_ratio: f64,
+    pub(crate) largest_ratio: f64,
     /// The share of errors within the predicted 95 % interval.
-    pub covered: f64,
+    pub(crate) covered: f64,
 }
 
 /// Predicted against observed deviations of every coefficient of S and b, of one sensor, in the orientation of the truth.
 /// Observed is the RMS error, so that a bias counts, too.
-pub fn honesty<const GAGES: usize, const HIGHER: usize, const RANK: usize>(setting: Setting) -> Honesty {
+pub(crate) fn honesty<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
+    setting: Setting,
+) -> Honesty {
     let mut rng = random(1);
     let sensor: KnownSensor<GAGES, RANK> = setting.sensor(&mut rng);
     let coefficients = (RANK + 1) * GAGES;

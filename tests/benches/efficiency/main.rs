@@ -108,9 +108,11 @@ fn main() -> ExitCode {
         );
     }
     let (mut refused, mut wrong) = (0, 0);
-    for seed in 0..DEGENERATE_CASES {
-        let motion = MOTIONS[seed as usize % MOTIONS.len()];
-        let instance = DEGENERATE[seed as usize / MOTIONS.len() % DEGENERATE.len()];
+    let cases = MOTIONS
+        .into_iter()
+        .cycle()
+        .zip(DEGENERATE.into_iter().flat_map(|instance| [instance; MOTIONS.len()]).cycle());
+    for (seed, (motion, instance)) in (0..DEGENERATE_CASES).zip(cases) {
         match instance(motion, seed) {
             Outcome::Refused => refused += 1,
             Outcome::Right => {}
@@ -123,7 +125,7 @@ fn main() -> ExitCode {
     let name = format!("wrong answers of {DEGENERATE_CASES} degenerate motions ({refused} refused)");
     table.measured(&name, Required::AtMost(0.0), f64::from(wrong));
     for (quantity, required, missing) in NOT_MEASURED {
-        table.not_measured(quantity, required, missing);
+        Table::not_measured(quantity, required, missing);
     }
     if table.missed() == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }

@@ -8,22 +8,22 @@ use rand_distr::{Distribution, StandardNormal};
 
 /// RMS signal of a gage over all directions of the load, counts: an ADS131M08 at a third of its range leaves rounding to
 /// whole codes far below the least noise measured here.
-pub const SIGNAL_COUNTS: f64 = 300_000.0;
+pub(crate) const SIGNAL_COUNTS: f64 = 300_000.0;
 
 /// Shape condition and noise of one row of the table.
 #[derive(Clone, Copy, Debug)]
-pub struct Setting {
+pub(crate) struct Setting {
     /// The largest singular value of S over the smallest; those between are spaced geometrically.
-    pub condition: f64,
+    pub(crate) condition: f64,
     /// Standard deviation of one channel's noise, relative to the RMS signal of a gage.
-    pub relative_noise: f64,
+    pub(crate) relative_noise: f64,
     /// Samples of the trial, directions uniform over the circle or sphere.
-    pub samples: usize,
+    pub(crate) samples: usize,
 }
 
 impl Setting {
     /// A random sensor of this setting. The rows of its shape are orthogonal, longest first.
-    pub fn sensor<const GAGES: usize, const RANK: usize>(
+    pub(crate) fn sensor<const GAGES: usize, const RANK: usize>(
         &self,
         rng: &mut ChaCha8Rng,
     ) -> KnownSensor<GAGES, RANK> {
@@ -46,20 +46,20 @@ impl Setting {
 
 /// An answer beside the truth, in the orientation of the truth.
 #[derive(Clone, Debug)]
-pub struct Comparison<const GAGES: usize, const RANK: usize> {
+pub(crate) struct Comparison<const GAGES: usize, const RANK: usize> {
     /// R Ŝ − S, R by orthogonal Procrustes, counts per load.
-    pub shape_error: SMatrix<f64, RANK, GAGES>,
+    pub(crate) shape_error: SMatrix<f64, RANK, GAGES>,
     /// The standard deviations that the answer predicts for it.
-    pub shape_deviation: SMatrix<f64, RANK, GAGES>,
+    pub(crate) shape_deviation: SMatrix<f64, RANK, GAGES>,
     /// b̂ − b, counts.
-    pub bias_error: SVector<f64, GAGES>,
+    pub(crate) bias_error: SVector<f64, GAGES>,
     /// The standard deviations that the answer predicts for it.
-    pub bias_deviation: SVector<f64, GAGES>,
+    pub(crate) bias_deviation: SVector<f64, GAGES>,
 }
 
 impl<const GAGES: usize, const RANK: usize> Comparison<GAGES, RANK> {
     /// Turns the answer to where it fits the truth best.
-    pub fn new(truth: &KnownSensor<GAGES, RANK>, answer: &TrialSolution<GAGES, RANK>) -> Self {
+    pub(crate) fn new(truth: &KnownSensor<GAGES, RANK>, answer: &TrialSolution<GAGES, RANK>) -> Self {
         let shape = &answer.shape_counts_per_load;
         let turn = procrustes(&truth.shape, shape);
         Self {
@@ -71,14 +71,14 @@ impl<const GAGES: usize, const RANK: usize> Comparison<GAGES, RANK> {
     }
 
     /// Every error with its predicted standard deviation: S column by column, then b.
-    pub fn errors(&self) -> impl Iterator<Item = (f64, f64)> {
+    pub(crate) fn errors(&self) -> impl Iterator<Item = (f64, f64)> {
         let errors = self.shape_error.iter().chain(&self.bias_error).copied();
         errors.zip(self.shape_deviation.iter().chain(&self.bias_deviation).copied())
     }
 }
 
 /// The orthogonal matrix R, mirror images included, that makes |R·from − to| least.
-pub fn procrustes<const GAGES: usize, const RANK: usize>(
+pub(crate) fn procrustes<const GAGES: usize, const RANK: usize>(
     to: &SMatrix<f64, RANK, GAGES>,
     from: &SMatrix<f64, RANK, GAGES>,
 ) -> SMatrix<f64, RANK, RANK> {

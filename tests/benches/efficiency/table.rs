@@ -4,7 +4,7 @@ use std::fmt;
 
 /// Where a measured number must lie.
 #[derive(Clone, Copy, Debug)]
-pub enum Required {
+pub(crate) enum Required {
     /// At most this.
     AtMost(f64),
     /// At least this.
@@ -35,20 +35,20 @@ impl fmt::Display for Required {
 
 /// Prints rows as they come, in Markdown, and remembers whether any missed its bound.
 #[derive(Debug, Default)]
-pub struct Table {
+pub(crate) struct Table {
     missed: usize,
 }
 
 impl Table {
     /// Prints the head.
-    pub fn begin() -> Self {
+    pub(crate) fn begin() -> Self {
         println!("| quantity | required | measured | |");
         println!("|---|---|---|---|");
         Self::default()
     }
 
     /// A row that was measured.
-    pub fn measured(&mut self, quantity: &str, required: Required, measured: f64) {
+    pub(crate) fn measured(&mut self, quantity: &str, required: Required, measured: f64) {
         let verdict = if required.is_met(measured) {
             "met"
         } else {
@@ -59,12 +59,12 @@ impl Table {
     }
 
     /// A row for which there is nothing to measure yet.
-    pub fn not_measured(&self, quantity: &str, required: Required, missing: &str) {
+    pub(crate) fn not_measured(quantity: &str, required: Required, missing: &str) {
         println!("| {quantity} | {required} | not measured: {missing} | |");
     }
 
     /// How many of the measured rows missed their bound.
-    pub const fn missed(&self) -> usize {
+    pub(crate) const fn missed(&self) -> usize {
         self.missed
     }
 }
