@@ -31,8 +31,8 @@ use crate::simulator::scenario::{Scenario, ScenarioTrial};
 /// Gravity on the bench, m/s².
 pub const GRAVITY: f64 = STANDARD_GRAVITY;
 
-/// Samples of one trial: a minute at 1000 samples/s.
-const TRIAL_SAMPLES: usize = 60_000;
+/// Samples of one trial: three minutes at 1000 samples/s.
+const TRIAL_SAMPLES: usize = 180_000;
 
 /// Samples of one rest.
 pub const REST_SAMPLES: usize = 500;
@@ -74,7 +74,7 @@ pub fn acquire(
         };
         writeln!(
             progress,
-            "Trial {} of {}: {:.4} kg{place}, turned by hand for a minute …",
+            "Trial {} of {}: {:.4} kg{place}, turned by hand for three minutes …",
             index + 1,
             scenario.trials.len(),
             trial.load.mass_kg,

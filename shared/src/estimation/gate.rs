@@ -6,7 +6,7 @@
 //!
 //! # Quietness
 //!
-//! Samples are taken in blocks of four, and a block is classed by the [`REACH`] blocks to each side of it, so that it comes
+//! Samples are taken in blocks of four, and a block is classed by the three blocks to each side of it, so that it comes
 //! out `REACH` blocks late. With white noise of variance σ² in each of p channels, sums s of four samples give
 //!
 //! | measure of block k | from noise alone | answers to |

@@ -5,7 +5,7 @@
 //! * a direction that is known well weighs in with the square of its angle over its accuracy, and an answer must be better
 //!   than every other by [`MARGIN`], five standard deviations, and by as much more as it fits worse than it should;
 //! * a direction known only roughly ("about upwards") has no such tails. It is taken at its word: nobody who says where a
-//!   load pulls is wrong by more than [`LARGEST_SLIP_RAD`], or by more than he says. An answer in which he would be, is out.
+//!   load pulls is wrong by more than 33°, or by more than he says. An answer in which he would be, is out.
 //!
 //! An answer is given only if a single one is left.
 
