@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use ftcal_shared::fault::AdcFault;
-use ftcal_shared::wire::{AdcState, ClockSource, Rejection, StreamKind, TrialPhase, TrialStatus};
+use ftcal_shared::wire::{AdcState, ClockSource, Rejection, TrialPhase, TrialStatus};
 
 use super::frame::NoWrench;
 use super::remedy;
@@ -101,15 +101,6 @@ pub const fn clock_source(clock: ClockSource) -> &'static str {
             "internal oscillator, because the crystal did not start: times are off by up to a per cent"
         }
         ClockSource::Simulated => "simulated",
-    }
-}
-
-/// What is being streamed.
-pub const fn stream_kind(kind: StreamKind) -> &'static str {
-    match kind {
-        StreamKind::Off => "off",
-        StreamKind::Codes => "raw codes",
-        StreamKind::Wrench => "wrenches",
     }
 }
 
