@@ -188,12 +188,10 @@ where
     ///
     /// Every refusal of [`Bins::solve`]; [`Refusal::Saturated`] where saturation has left too few samples.
     pub fn solve(&mut self) -> Result<Solution, Refusal> {
-        let solution = match self.store.finish() {
-            Err(refusal) => Err(refusal),
-            Ok(()) if self.rank == 2 => {
-                self.store.solve::<2>().and_then(|quiet| on_the_wire(&quiet.solution))
-            }
-            Ok(()) => self.store.solve::<3>().and_then(|quiet| on_the_wire(&quiet.solution)),
+        self.store.finish();
+        let solution = match self.rank {
+            2 => self.store.solve::<2>().and_then(|quiet| on_the_wire(&quiet.solution)),
+            _ => self.store.solve::<3>().and_then(|quiet| on_the_wire(&quiet.solution)),
         };
         self.moving = solution.as_ref().map_or(0, |solution| self.taken.saturating_sub(solution.samples));
         match solution {

@@ -80,7 +80,7 @@ fn bins_of(codes: &[Codes], gated: bool) -> Box<Bins<GAGES, HIGHER>> {
     for codes in codes {
         if gated { bins.offer(codes) } else { bins.offer_ungated(codes) }.unwrap();
     }
-    bins.finish().unwrap();
+    bins.finish();
     bins
 }
 

@@ -153,7 +153,7 @@ fn solve_gages<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
             Gating::Off => bins.offer_ungated(codes),
         }?);
     }
-    bins.finish()?;
+    bins.finish();
     let count = |cause| verdicts.iter().filter(|&&verdict| verdict == cause).count() as u64;
     let (saturated, repeated) = (count(Verdict::Saturated), count(Verdict::Repeated));
     let quiet = bins.solve::<RANK>().map_err(|refusal| match refusal {

@@ -13,8 +13,10 @@
 //!   with no preferred direction gives u = ⟨(2m·a)²⟩ = 4⟨a²⟩/3 and lengthens ⟨|m|²⟩ by ⟨a²⟩, all gains by half of that, ⅜u.
 
 use super::basis::basis;
+use super::code_sums::{CodeSums, MAX_SAMPLES};
 use super::gate::{Gate, Quietness, Verdict};
 use super::moments::Moments;
+use super::projection::{MotionSums, project};
 use super::shape::{TrialSolution, require_samples, solve_within};
 use crate::refusal::Refusal;
 use crate::units::AdcCode;
@@ -26,9 +28,8 @@ const SHIFT_OVER_UNEXPLAINED: f64 = 0.375;
 #[derive(Clone, Debug)]
 pub struct Bins<const GAGES: usize, const HIGHER: usize> {
     gate: Gate<GAGES>,
-    /// One for each [`Quietness`]. Once finished, each holds the quieter ones, too.
+    /// One for each [`Quietness`].
     by_quietness: [Moments<GAGES, HIGHER>; Quietness::ALL.len()],
-    finished: bool,
     /// Why a sample could not be summed up.
     full: Option<Refusal>,
 }
@@ -54,7 +55,6 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
         Self {
             gate: Gate::new(),
             by_quietness: [const { Moments::new([AdcCode::ZERO; GAGES]) }; Quietness::ALL.len()],
-            finished: false,
             full: None,
         }
     }
@@ -62,20 +62,19 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
     /// Empties gate and sums.
     pub fn restart(&mut self) {
         self.gate = Gate::new();
-        self.finished = false;
         self.full = None;
         for bin in &mut self.by_quietness {
             bin.restart([AdcCode::ZERO; GAGES]);
         }
     }
 
-    /// Takes in one sample. To be called before [`Bins::finish`].
+    /// Takes in one sample.
     ///
     /// # Errors
     ///
     /// [`Refusal::OverflowAhead`] where the sums are full; what they hold stays good.
     pub fn offer(&mut self, codes: &[AdcCode; GAGES]) -> Result<Verdict, Refusal> {
-        let Self { gate, by_quietness, full, .. } = self;
+        let Self { gate, by_quietness, full } = self;
         let verdict = gate.offer(codes, &mut |quietness, codes| push(by_quietness, full, quietness, codes));
         full.map_or(Ok(verdict), Err)
     }
@@ -93,42 +92,45 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
         self.full.map_or(Ok(Verdict::Accepted), Err)
     }
 
-    /// Takes in what still waits in the gate, and adds the classes up. Nothing comes after that but [`Bins::restart`].
-    ///
-    /// # Errors
-    ///
-    /// [`Refusal::OverflowAhead`] where the sums are full; what they hold stays good.
-    pub fn finish(&mut self) -> Result<(), Refusal> {
-        if self.finished {
-            return Ok(());
-        }
-        let Self { gate, by_quietness, full, finished } = self;
+    /// Takes in what still waits in the gate. A sample that comes afterwards meets a gate that has seen nothing.
+    pub fn finish(&mut self) {
+        let Self { gate, by_quietness, full } = self;
         gate.finish(&mut |quietness, codes| push(by_quietness, full, quietness, codes));
-        *finished = true;
-        let [still, slow, fast] = by_quietness;
-        still.settle();
-        slow.absorb(still)?;
-        fast.absorb(slow)
+        self.settle();
     }
 
-    /// Solves the finished trial.
+    /// Brings every sample that has passed the gate into the long sums. To be called before the trial is solved; taking in
+    /// more samples afterwards is fine.
+    pub fn settle(&mut self) {
+        for bin in &mut self.by_quietness {
+            bin.settle();
+        }
+    }
+
+    /// Solves the trial from what has been settled.
     ///
     /// # Errors
     ///
     /// Every refusal of [`super::shape::solve_trial`]: where no choice of classes has an answer, that of all samples together.
     pub fn solve<const RANK: usize>(&self) -> Result<QuietSolution<GAGES, RANK>, Refusal> {
-        let [.., all] = &self.by_quietness;
+        let mut all = CodeSums::new(*self.by_quietness[0].pivot());
+        for bin in &self.by_quietness {
+            all.add(bin.codes())?;
+        }
         require_samples::<RANK>(all.count())?;
         let subspace = basis::<GAGES, RANK>(&all.covariance(), all.count())?;
         let mut best: Option<(f64, QuietSolution<GAGES, RANK>)> = None;
         let mut refusal = Refusal::NonFinite;
-        let mut quieter = 0;
+        let mut quiet: Option<MotionSums<RANK>> = None;
         for (bin, up_to) in self.by_quietness.iter().zip(Quietness::ALL) {
-            if bin.count() == quieter {
+            if bin.count() == 0 {
                 continue;
             }
-            quieter = bin.count();
-            match solve_within(&subspace, all, bin) {
+            let mut sums = project(bin, &subspace.vectors);
+            if let Some(quieter) = &quiet {
+                sums.add(quieter);
+            }
+            match solve_within(&subspace, &all, &sums) {
                 Err(cause) => refusal = cause,
                 Ok(solution) => {
                     let shift = SHIFT_OVER_UNEXPLAINED * solution.unexplained;
@@ -138,6 +140,7 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
                     }
                 }
             }
+            quiet = Some(sums);
         }
         best.map(|(_, quiet)| quiet).ok_or(refusal)
     }
@@ -149,7 +152,12 @@ fn push<const GAGES: usize, const HIGHER: usize>(
     quietness: Quietness,
     codes: &[AdcCode; GAGES],
 ) {
-    if bins.iter().all(|bin| bin.count() == 0) {
+    let samples = bins.iter().map(Moments::count).sum();
+    if samples >= MAX_SAMPLES {
+        *full = Some(Refusal::OverflowAhead { samples });
+        return;
+    }
+    if samples == 0 {
         // The first sample is the pivot, which takes the offset out of all sums.
         for bin in bins.iter_mut() {
             bin.restart(*codes);

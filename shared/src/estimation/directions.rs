@@ -8,7 +8,7 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use super::projection::MotionMoments;
+use super::motion_moments::MotionMoments;
 
 /// Nodes and weights of the Gauss-Legendre rule of six points on [−1, 1], positive half.
 const LEGENDRE: [(f64, f64); 3] = [

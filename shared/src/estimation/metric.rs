@@ -9,7 +9,7 @@
 use nalgebra::{Cholesky, SMatrix, SVector};
 
 use super::eigen::symmetric_eigen;
-use super::projection::MotionMoments;
+use super::motion_moments::MotionMoments;
 use super::quadric::{Coefficients, UNKNOWNS, linear_position, normal_matrix, product_position};
 use crate::refusal::Refusal;
 

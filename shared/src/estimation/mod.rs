@@ -9,9 +9,9 @@
 //! | module | step | source |
 //! |---|---|---|
 //! | [`gate`] | which samples are measurements, and how quiet the load was | design § 5 |
-//! | [`moments`] | one pass over the codes: exact sums, Gram matrix, sums of degree 3 and 4 | design § 2 |
+//! | [`moments`], [`code_sums`] | one pass over the codes: exact sums, Gram matrix, sums of degree 3 and 4 | design § 2 |
 //! | [`basis`] | the p×p eigenproblem in place of the SVD of Z; noise from the redundant eigenvalues | eq. 7–9, design § 3.1 |
-//! | [`projection`] | the moments in the r coordinates of the basis | design § 3.2 |
+//! | [`projection`], [`motion_moments`] | the moments in the r coordinates of the basis | design § 3.2 |
 //! | [`metric`] | the constraint |m| = 1, with free centre | eq. 13, design § 3.3 |
 //! | [`shape`] | shape and bias of one trial | eq. 10, 11, design § 3.4 |
 //! | [`bins`] | sums by quietness, and how much of them to solve from | design § 5 |
@@ -27,11 +27,14 @@ pub mod application;
 pub mod basis;
 pub mod bins;
 pub mod calibration;
+pub mod code_sums;
 pub mod directions;
 mod eigen;
 pub mod gate;
 pub mod metric;
 pub mod moments;
+mod monomials;
+pub mod motion_moments;
 pub mod projection;
 mod quadric;
 pub mod shape;

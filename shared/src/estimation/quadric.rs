@@ -5,7 +5,7 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use super::projection::MotionMoments;
+use super::motion_moments::MotionMoments;
 
 /// Unknowns at rank 3.
 pub(super) const UNKNOWNS: usize = 9;

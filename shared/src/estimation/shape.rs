@@ -3,11 +3,12 @@
 use nalgebra::{Cholesky, SMatrix, SVector};
 
 use super::basis::{Basis, basis};
+use super::code_sums::CodeSums;
 use super::directions::DirectionMoments;
 use super::eigen::symmetric_eigen;
 use super::metric::{metric, require_indifference_to_noise};
 use super::moments::Moments;
-use super::projection::project;
+use super::projection::{MotionSums, project};
 use super::uncertainty::{Regressors, TrialUncertainty, predict};
 use crate::refusal::Refusal;
 
@@ -48,8 +49,8 @@ pub fn solve_trial<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
     moments: &Moments<GAGES, HIGHER>,
 ) -> Result<TrialSolution<GAGES, RANK>, Refusal> {
     require_samples::<RANK>(moments.count())?;
-    let subspace = basis::<GAGES, RANK>(&moments.covariance(), moments.count())?;
-    solve_within(&subspace, moments, moments)
+    let subspace = basis::<GAGES, RANK>(&moments.codes().covariance(), moments.count())?;
+    solve_within(&subspace, moments.codes(), &project(moments, &subspace.vectors))
 }
 
 /// A trial of an unknown rank, or of too few samples, is refused.
@@ -61,17 +62,17 @@ pub(crate) const fn require_samples<const RANK: usize>(samples: u64) -> Result<(
 }
 
 /// Solves one trial within the subspace that `all` of its samples have given; the metric constraint is taken from the
-/// `quiet` ones among them. Both are settled.
+/// `quiet` ones among them, as projected onto that subspace.
 ///
 /// # Errors
 ///
 /// [`Refusal::TooFewSamples`], and every refusal of [`metric`].
-pub(crate) fn solve_within<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
+pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
     subspace: &Basis<GAGES, RANK>,
-    all: &Moments<GAGES, HIGHER>,
-    quiet: &Moments<GAGES, HIGHER>,
+    all: &CodeSums<GAGES>,
+    quiet: &MotionSums<RANK>,
 ) -> Result<TrialSolution<GAGES, RANK>, Refusal> {
-    let samples = quiet.count();
+    let samples = quiet.samples();
     require_samples::<RANK>(samples)?;
     let &Basis { vectors, eigenvalues, noise_variance } = subspace;
 
@@ -79,7 +80,7 @@ pub(crate) fn solve_within<const GAGES: usize, const HIGHER: usize, const RANK: 
     let deviations = variances.map(libm::sqrt);
     let whitening = SMatrix::<f64, RANK, RANK>::from_diagonal(&deviations.map(|deviation| 1.0 / deviation));
     let whitened_noise = variances.map(|variance| noise_variance.unwrap_or(0.0) / variance);
-    let whitened = project(quiet, &vectors).transformed(&whitening);
+    let whitened = quiet.central().transformed(&whitening);
     let metric = metric(&whitened, &whitened_noise, samples)?;
     if noise_variance.is_none() {
         require_indifference_to_noise(&whitened, &variances, &metric, samples)?;
@@ -95,7 +96,7 @@ pub(crate) fn solve_within<const GAGES: usize, const HIGHER: usize, const RANK: 
     let orientation = principal.vectors.transpose();
     let shape_counts_per_load = orientation * shape;
     // Across the subspace there is but the bias, and every sample tells it.
-    let quiet_from_all = vectors.transpose() * (quiet.mean_difference() - all.mean_difference());
+    let quiet_from_all = quiet.mean() - vectors.transpose() * all.mean_difference();
     let bias_counts =
         all.mean_counts() + vectors * quiet_from_all + indeterminate_shape.transpose() * metric.centre;
 
