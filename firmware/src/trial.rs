@@ -6,11 +6,14 @@
 
 use core::ops::DerefMut;
 
+use ftcal_shared::estimation::coverage::{self, coverage_so_far};
 use ftcal_shared::estimation::moments::Moments;
 use ftcal_shared::estimation::shape::{TrialSolution, solve_trial};
 use ftcal_shared::refusal::Refusal;
 use ftcal_shared::units::{AdcCode, SampleIndex};
-use ftcal_shared::wire::{GageList, Rejection, Solution, TrialPhase, TrialStatus};
+use ftcal_shared::wire::{
+    Coverage, GageList, GageTarget, Rejection, Response, Solution, TrialPhase, TrialStatus,
+};
 
 /// The trial of the sensor.
 #[derive(Debug)]
@@ -26,12 +29,20 @@ pub struct Trial<Store, const GAGES: usize, const HIGHER: usize> {
     first: SampleIndex,
 }
 
-/// A stopped trial on its way to a solution.
+/// A trial's sums on their way to an answer.
 #[derive(Debug)]
 pub struct SolveJob<Store, const GAGES: usize, const HIGHER: usize> {
     store: Store,
+    wanted: Wanted,
     rank: u8,
     saturated: u32,
+}
+
+/// What is to be computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Wanted {
+    Solution,
+    Coverage,
 }
 
 impl<Store, const GAGES: usize, const HIGHER: usize> Trial<Store, GAGES, HIGHER>
@@ -151,15 +162,39 @@ where
                     store.restart([AdcCode::ZERO; GAGES]);
                 }
                 self.phase = TrialPhase::Solving;
-                Ok(SolveJob { store, rank: self.rank, saturated: self.saturated })
+                Ok(SolveJob {
+                    store,
+                    wanted: Wanted::Solution,
+                    rank: self.rank,
+                    saturated: self.saturated,
+                })
             }
         }
     }
 
-    /// Takes back what [`Trial::take_for_solving`] handed out; the trial may be solved again.
+    /// Hands the trial out, running or stopped, to be asked where it stands.
+    ///
+    /// # Errors
+    ///
+    /// [`Rejection::NoTrial`]; [`Rejection::TrialBusy`] while it is out already.
+    pub fn take_for_coverage(&mut self) -> Result<SolveJob<Store, GAGES, HIGHER>, Rejection> {
+        if self.phase == TrialPhase::None {
+            return Err(Rejection::NoTrial);
+        }
+        let mut store = self.store.take().ok_or(Rejection::TrialBusy)?;
+        if self.used == 0 {
+            store.restart([AdcCode::ZERO; GAGES]);
+        }
+        Ok(SolveJob { store, wanted: Wanted::Coverage, rank: self.rank, saturated: self.saturated })
+    }
+
+    /// Takes back what [`Trial::take_for_solving`] or [`Trial::take_for_coverage`] handed out: a trial that was to be
+    /// solved may be solved again, one that was asked where it stands goes on as it was.
     pub fn finish(&mut self, job: SolveJob<Store, GAGES, HIGHER>) {
         self.store = Some(job.store);
-        self.phase = TrialPhase::Stopped;
+        if job.wanted == Wanted::Solution {
+            self.phase = TrialPhase::Stopped;
+        }
     }
 }
 
@@ -167,6 +202,22 @@ impl<Store, const GAGES: usize, const HIGHER: usize> SolveJob<Store, GAGES, HIGH
 where
     Store: DerefMut<Target = Moments<GAGES, HIGHER>>,
 {
+    /// Computes what is wanted. Takes millions of instructions: not for the sample path.
+    pub fn response(&mut self) -> Response {
+        match self.wanted {
+            Wanted::Solution => self.solve().map_or_else(Response::Refused, Response::Solution),
+            Wanted::Coverage => self.coverage().map_or_else(Response::Refused, Response::Coverage),
+        }
+    }
+
+    fn coverage(&mut self) -> Result<Coverage, Refusal> {
+        self.store.settle();
+        match self.rank {
+            2 => coverage_so_far::<GAGES, HIGHER, 2>(&self.store).map(|covered| coverage_on_the_wire(&covered)),
+            _ => coverage_so_far::<GAGES, HIGHER, 3>(&self.store).map(|covered| coverage_on_the_wire(&covered)),
+        }
+    }
+
     /// Solves the trial. Takes millions of instructions: not for the sample path.
     ///
     /// # Errors
@@ -208,4 +259,19 @@ fn on_the_wire<const GAGES: usize, const RANK: usize>(
         noise_counts: solved.noise_variance.map(libm::sqrt),
         samples: u32::try_from(solved.samples).unwrap_or(u32::MAX),
     })
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "a report of seven digits")]
+fn coverage_on_the_wire<const RANK: usize>(covered: &coverage::Coverage<RANK>) -> Coverage {
+    let target = |target: &coverage::GageTarget| GageTarget {
+        gage: target.gage,
+        counts: target.counts as f32,
+        position: target.position as f32,
+    };
+    Coverage {
+        samples: u32::try_from(covered.samples).unwrap_or(u32::MAX),
+        fraction: covered.fraction as f32,
+        worst_relative_uncertainty: covered.worst_relative_uncertainty as f32,
+        targets: covered.targets.iter().map(target).collect(),
+    }
 }

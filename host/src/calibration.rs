@@ -9,6 +9,7 @@
 //! | module | step |
 //! |---|---|
 //! | [`trial`] | shape and bias of one trial, by the shared estimator |
+//! | [`coverage`] | how well a trial is known, and what it has covered |
 //! | [`motion`] | the recovered motion, and what it says about the trial's uncertainty |
 //! | [`known_load`] | rests at known loads; arms as squashing matrices |
 //! | [`alignment`] | orientation from known loads |
@@ -16,6 +17,10 @@
 //! | [`consistency`] | what trials allow each other |
 //! | [`handedness`] | rotation or mirror image, proven or refused |
 //! | [`fusion`] | true shape from several arms |
+//! | [`procrustes`] | the turn from one shape onto another |
+//! | [`reference`] | orientation from a stored calibration |
+//! | [`linearity`] | whether the sensor is linear, at one load and from one to another |
+//! | [`verification`] | the check of a calibration in the field |
 //! | [`matrix`] | calibration matrix of a shape |
 //! | [`singular`] | the decomposition that several of these rest on |
 //! | [`least_squares`] | the paper's reference: known loads alone (eq. 3) |
@@ -28,18 +33,23 @@
 
 pub mod alignment;
 pub mod consistency;
+pub mod coverage;
 pub mod evidence;
 pub mod fusion;
 pub mod handedness;
 pub mod known_load;
 pub mod least_squares;
+pub mod linearity;
 pub mod matrix;
 pub mod motion;
+pub mod procrustes;
+pub mod reference;
 pub mod refusal;
 pub mod singular;
 pub mod trial;
 pub mod turning;
 pub mod upload;
+pub mod verification;
 
 #[cfg(test)]
 mod end_to_end;
@@ -52,8 +62,10 @@ use serde::{Deserialize, Serialize};
 
 use self::fusion::{Fused, Stack};
 use self::known_load::LoadCase;
+use self::linearity::CheckRecord;
 use self::matrix::matrix_of_shape;
 use self::motion::TrialUncertainty;
+use self::reference::Drift;
 use self::singular::Singular;
 use self::trial::{SampleCounts, TrialShape};
 use self::turning::Turned;
@@ -108,6 +120,10 @@ pub struct Calibration {
     pub fusion_residual: f64,
     /// The trials.
     pub trials: Vec<TrialRecord>,
+    /// How the calibration fits trials at other loads, which it was not made from.
+    pub checks: Vec<CheckRecord>,
+    /// How far the sensor has moved since the calibration that oriented this one, if one did.
+    pub drift: Option<Drift>,
 }
 
 /// How a calibration is found.
@@ -148,6 +164,8 @@ pub enum HandednessEvidence {
     Turning,
     /// That it fits together with the other trials in this way only.
     Fusion,
+    /// The stored calibration of the same sensor.
+    Reference,
 }
 
 /// What a calibration file keeps of one trial.
@@ -230,6 +248,8 @@ pub fn calibrate(dof: Dof, gravity: f64, trials: &[SolvedTrial]) -> Result<Calib
         handedness: Handedness::Proven,
         fusion_residual: fused.residual,
         trials: records.collect(),
+        checks: Vec::new(),
+        drift: None,
     }
     .finite()
 }

@@ -17,6 +17,8 @@ use ftcal_shared::units::{Dof, MAX_GAGES};
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
+use crate::calibration::linearity::CheckRecord;
+use crate::calibration::reference::Drift;
 use crate::calibration::{BiasOrigin, Calibration, Handedness, Method, TrialRecord};
 use crate::recording::{MIN_GAGES, shown};
 
@@ -107,6 +109,10 @@ struct File {
     handedness: Handedness,
     fusion_residual: f64,
     trials: Vec<TrialRecord>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    checks: Vec<CheckRecord>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    drift: Option<Drift>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     checksum: Option<String>,
 }
@@ -138,6 +144,8 @@ pub fn write(calibration: &Calibration, mut out: impl Write) -> io::Result<()> {
         handedness: calibration.handedness,
         fusion_residual: calibration.fusion_residual,
         trials: calibration.trials.clone(),
+        checks: calibration.checks.clone(),
+        drift: calibration.drift.clone(),
         checksum: None,
     };
     let checksum = Some(file.checksum().map_err(io::Error::from)?);
@@ -238,6 +246,8 @@ impl File {
             handedness: self.handedness,
             fusion_residual: self.fusion_residual,
             trials: self.trials,
+            checks: self.checks,
+            drift: self.drift,
         })
     }
 }
@@ -272,7 +282,9 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::{CalibrationFileError, parse, write};
+    use crate::calibration::linearity::CheckRecord;
     use crate::calibration::matrix::matrix_of_shape;
+    use crate::calibration::reference::Drift;
     use crate::calibration::trial::SampleCounts;
     use crate::calibration::{
         BiasOrigin, Calibration, Handedness, HandednessEvidence, Method, SolutionRecord, TrialRecord,
@@ -306,6 +318,18 @@ mod tests {
                     handedness: HandednessEvidence::Fusion,
                 }),
             }],
+            checks: vec![CheckRecord {
+                recording: "heavier.csv".to_owned(),
+                mass_kg: 2.0,
+                arm_m: Vec::new(),
+                scale: 1.0 + number(),
+                residual: number().abs(),
+            }],
+            drift: Some(Drift {
+                gage_percent: vec![number().abs(); gages],
+                axis_percent: vec![number().abs(); dof.count()],
+                components_seen: dof.count() as u64,
+            }),
         }
     }
 

@@ -3,12 +3,13 @@
 use std::path::Path;
 
 use super::known_load::{KnownLoad, LoadCase, average};
+use super::linearity::{self, Linearity};
 use super::motion;
 use super::turning::{Turned, swept};
-use super::{Calibration, CalibrationRefusal, Method, SolvedTrial, least_squares, trial};
+use super::{Calibration, CalibrationRefusal, Method, SolvedTrial, least_squares, reference, trial};
 use crate::place::Place;
 use crate::recording::{Recording, RecordingError, WindowError, shown};
-use crate::session_file::{Rest, Session, SessionError, SessionTrial};
+use crate::session_file::{Rest, Role, Session, SessionError, SessionTrial};
 
 /// Why a session gives no calibration.
 #[derive(Debug)]
@@ -78,24 +79,42 @@ impl From<CalibrationRefusal> for CalibrationFailure {
 /// # Errors
 ///
 /// [`CalibrationFailure`]: unreadable evidence, or a refusal.
-pub fn calibrate(session: &Session, method: Method) -> Result<Calibration, CalibrationFailure> {
+pub fn calibrate(
+    session: &Session,
+    method: Method,
+    linearity: Linearity,
+) -> Result<Calibration, CalibrationFailure> {
     let mut reader = Reader { session, gages: None };
-    match method {
+    let calibration = match method {
         Method::Sfm => {
-            let mut trials = Vec::with_capacity(session.trials.len());
-            for (index, trial) in session.trials.iter().enumerate() {
-                trials.push(reader.solved(index, trial)?);
-            }
-            Ok(super::calibrate(session.dof, session.gravity, &trials)?)
+            let trials = reader.solved_trials(Role::Fit, linearity)?;
+            super::calibrate(session.dof, session.gravity, &trials)?
         }
         Method::LeastSquares => {
             let mut cases = Vec::with_capacity(session.trials.len());
-            for (index, trial) in session.trials.iter().enumerate() {
+            for (index, trial) in session.trials.iter().enumerate().filter(|(_, trial)| trial.role == Role::Fit) {
                 cases.push(reader.case(index, trial, &mut None)?);
             }
-            Ok(least_squares::calibrate(session.dof, session.gravity, &cases)?)
+            least_squares::calibrate(session.dof, session.gravity, &cases)?
         }
-    }
+    };
+    reader.checked(calibration)
+}
+
+/// Calibrates a sensor from a session and the calibration that it has: no known load is needed, and none is used.
+///
+/// # Errors
+///
+/// [`CalibrationFailure`]: unreadable evidence, or a refusal.
+pub fn recalibrate(
+    session: &Session,
+    stored: &Calibration,
+    linearity: Linearity,
+) -> Result<Calibration, CalibrationFailure> {
+    let mut reader = Reader { session, gages: None };
+    let trials = reader.solved_trials(Role::Fit, linearity)?;
+    let calibration = reference::recalibrate(stored, session.gravity, &trials)?;
+    reader.checked(calibration)
 }
 
 /// Opens recordings and sees to it that all have the same number of gages.
@@ -105,6 +124,31 @@ struct Reader<'a> {
 }
 
 impl Reader<'_> {
+    /// The trials of this role, solved.
+    fn solved_trials(
+        &mut self,
+        role: Role,
+        linearity: Linearity,
+    ) -> Result<Vec<SolvedTrial>, CalibrationFailure> {
+        let mut solved_trials = Vec::with_capacity(self.session.trials.len());
+        let session = self.session;
+        for (index, trial) in session.trials.iter().enumerate().filter(|(_, trial)| trial.role == role) {
+            let solved = self.solved(index, trial)?;
+            if linearity == Linearity::Required {
+                linearity::require_linear(index, &solved)?;
+            }
+            solved_trials.push(solved);
+        }
+        Ok(solved_trials)
+    }
+
+    /// The calibration, compared with the trials that are there for it.
+    fn checked(&mut self, mut calibration: Calibration) -> Result<Calibration, CalibrationFailure> {
+        let checks = self.solved_trials(Role::Check, Linearity::Assumed)?;
+        calibration.checks = checks.iter().map(|trial| linearity::check(&calibration, trial)).collect();
+        Ok(calibration)
+    }
+
     fn open(&mut self, path: &Path, place: Place) -> Result<Recording, EvidenceError> {
         let session = || shown(&self.session.file);
         let recording = Recording::read(path).map_err(|error| EvidenceError::Recording {

@@ -78,6 +78,8 @@ pub fn calibrate(dof: Dof, gravity: f64, cases: &[LoadCase]) -> Result<Calibrati
         handedness: Handedness::Proven,
         fusion_residual: residual,
         trials: cases.iter().map(LoadCase::record).collect(),
+        checks: Vec::new(),
+        drift: None,
     }
     .finite()
 }
@@ -147,6 +149,7 @@ mod tests {
                         rest: RestCounts {
                             mean: &sensor.bias_counts + &seen * direction,
                             drift: DVector::zeros(sensor.shape.ncols()),
+                            noise_variance: 0.0,
                             samples: 1,
                         },
                     })

@@ -165,6 +165,28 @@ pub enum CalibrationRefusal {
         /// The largest that is accepted.
         need: f64,
     },
+    /// The sensor is not linear at the load of a trial.
+    NotLinear {
+        /// The trial.
+        trial: usize,
+        /// Standard deviation of the codes in the first direction that no load should move, counts.
+        redundant_counts: f64,
+        /// Noise of one channel at rest, counts.
+        rest_counts: f64,
+        /// The signal of the load, counts.
+        signal_counts: f64,
+    },
+    /// A trial does not look like the stored calibration from any side.
+    ReferenceDiffers {
+        /// The trial.
+        trial: usize,
+        /// The part of the stored shape that the trial's does not match, relative.
+        drift: f64,
+        /// The same for the trial's mirror image.
+        other_hand: f64,
+        /// The largest drift that is told from a turn.
+        need: f64,
+    },
     /// A result is not finite.
     NonFinite,
 }

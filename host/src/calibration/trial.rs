@@ -14,6 +14,7 @@ use ftcal_shared::units::AdcCode;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
+use super::coverage::TrialQuality;
 use crate::recording::{Recording, is_saturated};
 
 /// Why a sample takes no part.
@@ -57,6 +58,8 @@ pub struct TrialShape {
     pub bias_counts: DVector<f64>,
     /// S (r × p), counts per unit load: z = b + Sᵀm with |m| = 1, up to a rotation and a mirror image.
     pub shape_counts_per_load: DMatrix<f64>,
+    /// How well it is known; `None` where the sensor solved it, which does not tell.
+    pub quality: Option<TrialQuality>,
 }
 
 impl TrialShape {
@@ -143,6 +146,7 @@ fn in_counts<const GAGES: usize, const RANK: usize>(
         noise_counts: solution.noise_variance.map(|variance| variance.max(0.0).sqrt() * step),
         bias_counts: bias_codes * step + quantisation.offset_counts(),
         shape_counts_per_load: shape_codes * step,
+        quality: Some(TrialQuality::new(solution, quantisation)?),
     };
     let numbers = shape.eigenvalues.iter().chain(&shape.bias_counts).chain(&shape.shape_counts_per_load);
     if numbers.chain(&shape.noise_counts).all(|number| number.is_finite()) {

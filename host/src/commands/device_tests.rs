@@ -73,6 +73,8 @@ fn true_calibration(board: &ServedBoard, path: &Path) -> Calibration {
         handedness: Handedness::Proven,
         fusion_residual: 0.0,
         trials: Vec::new(),
+        checks: Vec::new(),
+        drift: None,
     };
     let mut file = Vec::new();
     calibration_file::write(&calibration, &mut file).expect("memory takes everything");

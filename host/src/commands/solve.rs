@@ -8,6 +8,7 @@ use ftcal_shared::refusal::Refusal;
 use serde::Serialize;
 
 use super::{Failure, Streams, print_json};
+use crate::calibration::coverage::TrialCoverage;
 use crate::calibration::motion::{Magnitude, recover};
 use crate::calibration::trial::{SampleCounts, TrialShape, solve};
 use crate::calibration_file::rows;
@@ -46,6 +47,40 @@ pub struct Report {
     pub shape_counts_per_load: Vec<Vec<f64>>,
     /// Length of the recovered load over the samples used, per unit load.
     pub magnitude: Magnitude,
+    /// Standard deviations, whatever the orientation.
+    pub uncertainty: Option<Uncertainty>,
+    /// What the motion has covered.
+    pub coverage: Option<Coverage>,
+}
+
+/// Standard deviations of bias and shape.
+#[derive(Debug, Serialize)]
+pub struct Uncertainty {
+    /// Of b (p), counts.
+    pub bias_counts: Vec<f64>,
+    /// Of S (r rows of p), counts per unit load.
+    pub shape_counts_per_load: Vec<Vec<f64>>,
+}
+
+/// What the motion has covered.
+#[derive(Debug, Serialize)]
+pub struct Coverage {
+    /// The share of all directions that the load has been through, 0 to 1.
+    pub fraction: f64,
+    /// Which way to turn the load to learn most, in words.
+    pub weakest_direction: String,
+    /// The largest standard deviation of a gain, cross-talk or offset, relative to the load.
+    pub worst_relative_uncertainty: f64,
+}
+
+impl From<&TrialCoverage> for Coverage {
+    fn from(coverage: &TrialCoverage) -> Self {
+        Self {
+            fraction: coverage.fraction,
+            weakest_direction: coverage.weakest_direction(),
+            worst_relative_uncertainty: coverage.worst_relative_uncertainty,
+        }
+    }
 }
 
 impl Report {
@@ -53,7 +88,7 @@ impl Report {
         let trial = solve(recording, rank)?;
         let magnitude = recover(recording, &trial)?.magnitude().ok_or(Refusal::NonFinite)?;
         let (rank, gages) = (trial.rank(), trial.gages());
-        let TrialShape { samples, eigenvalues, noise_counts, bias_counts, shape_counts_per_load } = trial;
+        let TrialShape { samples, eigenvalues, noise_counts, bias_counts, shape_counts_per_load, quality } = trial;
         Ok(Self {
             rank,
             gages,
@@ -63,6 +98,11 @@ impl Report {
             bias_counts: bias_counts.iter().copied().collect(),
             shape_counts_per_load: rows(&shape_counts_per_load),
             magnitude,
+            coverage: quality.as_ref().map(|quality| Coverage::from(&quality.coverage)),
+            uncertainty: quality.map(|quality| Uncertainty {
+                bias_counts: quality.bias_deviation_counts.iter().copied().collect(),
+                shape_counts_per_load: rows(&quality.shape_deviation_counts_per_load),
+            }),
         })
     }
 
@@ -78,7 +118,12 @@ impl Report {
             None => writeln!(out, "noise        unknown: as many gages as directions")?,
         }
         writeln!(out, "magnitude    {:.5} ± {:.5} of the load", self.magnitude.mean, self.magnitude.std)?;
-        writeln!(out, "gage         bias (counts)   sensitivity (counts per load)")?;
+        if let Some(coverage) = &self.coverage {
+            writeln!(out, "uncertainty  {:.3} % of the load at worst", 100.0 * coverage.worst_relative_uncertainty)?;
+            writeln!(out, "coverage     {:.0} % of all directions", 100.0 * coverage.fraction)?;
+            writeln!(out, "to learn most, {}", coverage.weakest_direction)?;
+        }
+        writeln!(out, "gage         bias (counts)     ±   sensitivity (counts per load)     ±")?;
         for (gage, bias) in self.bias_counts.iter().enumerate() {
             let squares: f64 = self
                 .shape_counts_per_load
@@ -86,9 +131,23 @@ impl Report {
                 .filter_map(|row| row.get(gage))
                 .map(|count| count * count)
                 .sum();
-            writeln!(out, "ch{gage:<2} {bias:21.2} {:31.2}", squares.sqrt())?;
+            let (bias_deviation, deviation) = self.deviations(gage);
+            writeln!(
+                out,
+                "ch{gage:<2} {bias:21.2} {bias_deviation:5.2} {:31.2} {deviation:5.2}",
+                squares.sqrt()
+            )?;
         }
         Ok(())
+    }
+
+    /// Standard deviations of a gage's bias (counts) and of its sensitivity (counts per load), that of its least certain
+    /// component.
+    fn deviations(&self, gage: usize) -> (f64, f64) {
+        let Some(uncertainty) = &self.uncertainty else { return (f64::NAN, f64::NAN) };
+        let components = uncertainty.shape_counts_per_load.iter().filter_map(|row| row.get(gage));
+        let bias = uncertainty.bias_counts.get(gage).copied().unwrap_or(f64::NAN);
+        (bias, components.copied().fold(0.0, f64::max))
     }
 }
 

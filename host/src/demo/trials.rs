@@ -274,6 +274,7 @@ fn from_sensor(solution: &Solution, status: TrialStatus) -> TrialShape {
             gages,
             &solution.shape_counts_per_load,
         ),
+        quality: None,
     }
 }
 

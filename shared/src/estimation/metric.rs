@@ -16,7 +16,7 @@ use crate::refusal::Refusal;
 /// The largest relative standard deviation of a principal value of Q that counts as determined by the motion.
 ///
 /// A gain's relative standard deviation is half of this: a motion that cannot fix a gain within 5 % is refused.
-const LARGEST_RELATIVE_UNCERTAINTY: f64 = 0.1;
+pub const LARGEST_RELATIVE_UNCERTAINTY: f64 = 0.1;
 
 /// The least eigenvalue of the normal matrix that is not rounding: whitened coordinates are of order one, and the
 /// moments of degree four carry relative errors up to 10⁻⁶.
@@ -35,7 +35,9 @@ pub struct Metric<const RANK: usize> {
 
 /// Solves the metric constraint from central moments of the whitened motion.
 ///
-/// `noise` is the variance of the noise in each whitened coordinate; zero where it is not known.
+/// `noise` is the variance of the noise in each whitened coordinate; zero where it is not known. `accepted` is the largest
+/// relative standard deviation of a principal value of Q with which there is an answer: [`LARGEST_RELATIVE_UNCERTAINTY`],
+/// or more for one that says no more than where a trial stands.
 ///
 /// # Errors
 ///
@@ -45,6 +47,7 @@ pub fn metric<const RANK: usize>(
     moments: &MotionMoments<RANK>,
     noise: &SVector<f64, RANK>,
     samples: u64,
+    accepted: f64,
 ) -> Result<Metric<RANK>, Refusal> {
     let free = moments.without_noise(noise);
     let normal = normal_matrix(&free);
@@ -68,7 +71,7 @@ pub fn metric<const RANK: usize>(
     let second = SMatrix::<f64, RANK, RANK>::from_fn(|a, b| free.second[a][b]);
     let squared_gradient = (quadratic * second * quadratic * 4.0).diagonal() + linear.component_mul(&linear);
     let covariance = factor.inverse() * ((unexplained + squared_gradient.dot(noise)) / samples.max(1) as f64);
-    require_determined::<RANK>(&quadratic, &covariance)?;
+    require_determined::<RANK>(&quadratic, &covariance, accepted)?;
 
     let quadratic_factor = Cholesky::new(quadratic).ok_or(Refusal::MetricNotPositiveDefinite)?;
     let centre = quadratic_factor.solve(&linear) * -0.5;
@@ -81,6 +84,7 @@ pub fn metric<const RANK: usize>(
 fn require_determined<const RANK: usize>(
     quadratic: &SMatrix<f64, RANK, RANK>,
     covariance: &SMatrix<f64, UNKNOWNS, UNKNOWNS>,
+    accepted: f64,
 ) -> Result<(), Refusal> {
     let principal = symmetric_eigen(quadratic)?;
     for k in 0..RANK {
@@ -94,7 +98,8 @@ fn require_determined<const RANK: usize>(
         let deviation = libm::sqrt(gradient.dot(&(covariance * gradient)).max(0.0));
         let value = principal.values[k];
         let relative = deviation / value.abs().max(f64::MIN_POSITIVE);
-        if relative > LARGEST_RELATIVE_UNCERTAINTY {
+        let determined = relative <= LARGEST_RELATIVE_UNCERTAINTY;
+        if relative > accepted || (value <= 0.0 && !determined) {
             return Err(does_not_span(relative));
         }
         if value <= 0.0 {

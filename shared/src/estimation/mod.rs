@@ -15,6 +15,7 @@
 //! | [`shape`] | shape and bias of one trial | eq. 10, 11, design § 3.4 |
 //! | [`directions`] | where the load has been | |
 //! | [`uncertainty`] | how well shape and bias are known | design § 4 |
+//! | [`coverage`] | what is still to be seen, and which way to turn the load for it | design § 4 |
 //! | [`calibration`] | calibration matrix of a shape | eq. 5 |
 //! | [`application`] | raw codes to wrench, in real time | eq. 1 |
 //!
@@ -24,6 +25,7 @@
 pub mod application;
 pub mod basis;
 pub mod calibration;
+pub mod coverage;
 pub mod directions;
 mod eigen;
 pub mod metric;

@@ -5,7 +5,7 @@ use nalgebra::{Cholesky, SMatrix, SVector};
 use super::basis::{Basis, basis, unsupported};
 use super::directions::DirectionMoments;
 use super::eigen::symmetric_eigen;
-use super::metric::metric;
+use super::metric::{LARGEST_RELATIVE_UNCERTAINTY, metric};
 use super::moments::Moments;
 use super::projection::project;
 use super::uncertainty::{TrialUncertainty, predict};
@@ -45,6 +45,19 @@ pub const fn least_samples(rank: usize) -> u64 {
 pub fn solve_trial<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
     moments: &Moments<GAGES, HIGHER>,
 ) -> Result<TrialSolution<GAGES, RANK>, Refusal> {
+    solve_trial_within(moments, LARGEST_RELATIVE_UNCERTAINTY)
+}
+
+/// The same, with a bound of the caller's on how uncertain the metric constraint may be: a trial that is still running is
+/// asked where it stands long before its answer is good enough to be one.
+///
+/// # Errors
+///
+/// As [`solve_trial`].
+pub fn solve_trial_within<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
+    moments: &Moments<GAGES, HIGHER>,
+    accepted: f64,
+) -> Result<TrialSolution<GAGES, RANK>, Refusal> {
     if !(2..=3).contains(&RANK) {
         return Err(unsupported::<GAGES, RANK>());
     }
@@ -60,7 +73,7 @@ pub fn solve_trial<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
     let whitening = SMatrix::<f64, RANK, RANK>::from_diagonal(&deviations.map(|deviation| 1.0 / deviation));
     let whitened_noise = variances.map(|variance| noise_variance.unwrap_or(0.0) / variance);
     let whitened = project(moments, &vectors).transformed(&whitening);
-    let metric = metric(&whitened, &whitened_noise, samples)?;
+    let metric = metric(&whitened, &whitened_noise, samples, accepted)?;
 
     // M = LLᵀ makes m = Lᵀ(x − c) a unit vector, so z = b + V*Λ^½L⁻ᵀm: A = L⁻¹ in eq. 11, with Ŝ = Λ^½V*ᵀ.
     let factor = Cholesky::new(metric.matrix).ok_or(Refusal::MetricNotPositiveDefinite)?;
