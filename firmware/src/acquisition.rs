@@ -54,10 +54,12 @@ pub struct Acquisition<Spi, const GAGES: usize> {
     counters: ConversionCounters,
     next_index: SampleIndex,
     last_start: Option<DeviceTime>,
-    /// When the last conversion since the start was read.
+    /// When the last conversion since the start was read, or waiting for the first began.
     last_read: Option<DeviceTime>,
     /// When the last conversion since the start was announced.
     last_announced: Option<DeviceTime>,
+    /// The converter fell silent, and has not been heard since, restarted or not.
+    silent: bool,
     corrupted_run: u8,
 }
 
@@ -79,13 +81,18 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
             last_start: None,
             last_read: None,
             last_announced: None,
+            silent: false,
             corrupted_run: 0,
         }
     }
 
-    /// State of the converter.
+    /// State of the converter. One that fell silent stays at fault until a conversion has come: that it could be set up
+    /// again does not say that it converts.
     pub const fn state(&self) -> AdcState {
-        self.state
+        match self.state {
+            AdcState::Running if self.silent => AdcState::Faulty(AdcFault::DataReadyLost),
+            state => state,
+        }
     }
 
     /// Counts of conversions.
@@ -151,6 +158,7 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
         Some(match conversion {
             Ok(conversion) => {
                 self.corrupted_run = 0;
+                self.silent = false;
                 self.counters.read = self.counters.read.wrapping_add(1);
                 Ok(Sample {
                     index,
@@ -197,10 +205,11 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
 
     fn check_silence(&mut self, now: DeviceTime) {
         let allowed = (SILENCE_PERIODS * self.period_micros()).max(LEAST_SILENCE_MICROS);
-        let last = self.last_read.or(self.last_start);
-        if last.is_some_and(|last| micros_since(now, last) > allowed) {
+        // Starting takes its time, so before the first conversion the silence counts from the first look after it.
+        let last = *self.last_read.get_or_insert(now);
+        if micros_since(now, last) > allowed {
             self.state = AdcState::Faulty(AdcFault::DataReadyLost);
-            self.last_start = None;
+            self.silent = true;
         }
     }
 

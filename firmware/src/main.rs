@@ -134,9 +134,10 @@ mod app {
     #[task(binds = EXTI9_5, priority = 3, local = [data_ready], shared = [sensor, frames, &dropped_frames])]
     fn sample(mut context: sample::Context) {
         let now = time_base::now();
-        let Some(announced) = context.local.data_ready.announced(now) else { return };
-        let frame = context.shared.sensor.lock(|sensor| sensor.on_data_ready(now, announced));
-        queue_frame(frame, context.shared.frames, context.shared.dropped_frames);
+        let frame = context.local.data_ready.handle(now, |announced| {
+            context.shared.sensor.lock(|sensor| sensor.on_data_ready(now, announced))
+        });
+        queue_frame(frame.flatten(), context.shared.frames, context.shared.dropped_frames);
     }
 
     /// Time passes.

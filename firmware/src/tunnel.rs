@@ -5,9 +5,10 @@
 //!
 //! | from | message | meaning |
 //! |---|---|---|
-//! | board | [`Transfer`] | while chip-select is low, these bytes go to the converter |
+//! | board | [`FromBoard::Transfer`] | while chip-select is low, these bytes go to the converter |
 //! | converter | [`FromConverter::Transferred`] | these came back; `number` is that of the question |
 //! | converter | [`FromConverter::DataReady`] | the data-ready line fell, at this time of the converter's clock |
+//! | board | [`FromBoard::Handled`] | the board has done what it does about a data-ready |
 //!
 //! Each message is framed as on the host link (`wire::frame`: postcard, CRC-32, byte stuffing), so a disturbed line loses
 //! messages but never alters one.
@@ -16,13 +17,13 @@
 //!
 //! - A question or its answer: the board waits [`ANSWER_MICROS`] and reports a bus error. An answer that comes later than that
 //!   bears another number than the next question, and is dropped.
-//! - A data-ready: the converter repeats itself after [`UNREAD_MICROS`], with the next conversion.
+//! - A data-ready or the word that it was handled: the converter goes on by itself after [`UNHANDLED_MICROS`].
 //!
 //! # Pace
 //!
-//! The host end converts no faster than the converter's data rate, and announces the next conversion only once the last one
-//! was read or [`UNREAD_MICROS`] have passed. A slow machine therefore slows the converter's clock instead of losing
-//! conversions; the time in [`FromConverter::DataReady`] is that clock, and it is the sample's time.
+//! The host end converts no faster than the converter's data rate, and goes on to the next conversion only once the last
+//! announcement was handled or [`UNHANDLED_MICROS`] have passed. A slow machine therefore slows the converter's clock instead of
+//! losing conversions; the time in [`FromConverter::DataReady`] is that clock, and it is the sample's time.
 
 use embedded_hal::spi::Operation;
 use ftcal_shared::units::DeviceTime;
@@ -31,11 +32,11 @@ use serde::{Deserialize, Serialize};
 /// The most bytes in one chip-select frame; the converter's own frames have 30.
 pub const MAX_TRANSFER: usize = 64;
 
-/// How long the board waits for the answer to a transfer.
-pub const ANSWER_MICROS: u64 = 200_000;
+/// How long the board waits for the answer to a transfer: milliseconds on a machine that has nothing else to do.
+pub const ANSWER_MICROS: u64 = 400_000;
 
-/// How long the converter waits for a conversion to be read, before it goes on without.
-pub const UNREAD_MICROS: u64 = 500_000;
+/// How long the converter waits for its announcement to be handled, before it goes on without.
+pub const UNHANDLED_MICROS: u64 = 500_000;
 
 /// The bytes of one chip-select frame, in one direction.
 pub type TransferBytes = heapless::Vec<u8, MAX_TRANSFER>;
@@ -47,6 +48,15 @@ pub struct Transfer {
     pub number: u8,
     /// What goes to the converter, or what came back from it: as many bytes in either direction.
     pub bytes: TransferBytes,
+}
+
+/// What the board's end sends.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum FromBoard {
+    /// What goes to the converter.
+    Transfer(Transfer),
+    /// The last announcement was handled: the converter may go on.
+    Handled,
 }
 
 /// What the converter's end sends.
@@ -104,22 +114,32 @@ mod tests {
     use ftcal_shared::units::DeviceTime;
     use ftcal_shared::wire::frame::{Decoder, encode};
 
-    use super::{FromConverter, MAX_TRANSFER, Transfer, TransferBytes, gather, scatter};
+    use serde::Serialize;
+    use serde::de::DeserializeOwned;
+
+    use super::{FromBoard, FromConverter, MAX_TRANSFER, Transfer, TransferBytes, gather, scatter};
 
     #[test]
     fn every_message_arrives_as_it_was_sent() {
-        let longest = Transfer { number: 255, bytes: TransferBytes::from_array([0; MAX_TRANSFER]) };
-        let messages = [
-            FromConverter::Transferred(longest),
+        let transfer = Transfer { number: 255, bytes: TransferBytes::from_array([0; MAX_TRANSFER]) };
+        let from_converter = [
+            FromConverter::Transferred(transfer.clone()),
             FromConverter::Transferred(Transfer { number: 0, bytes: TransferBytes::new() }),
             FromConverter::DataReady(DeviceTime::from_micros(u64::MAX)),
         ];
-        let mut decoder = Decoder::new();
-        for message in messages {
-            let frame = encode(&message).unwrap();
-            let decoded = frame.iter().filter_map(|&byte| decoder.push::<FromConverter>(byte)).last();
-            assert_eq!(decoded, Some(Ok(message)));
+        for message in from_converter {
+            assert_eq!(carried(&message), message);
         }
+        for message in [FromBoard::Transfer(transfer), FromBoard::Handled] {
+            assert_eq!(carried(&message), message);
+        }
+    }
+
+    /// What arrives of a message.
+    fn carried<Message: Serialize + DeserializeOwned>(message: &Message) -> Message {
+        let frame = encode(message).unwrap();
+        let mut decoder = Decoder::new();
+        frame.iter().find_map(|&byte| decoder.push(byte)).unwrap().unwrap()
     }
 
     #[test]

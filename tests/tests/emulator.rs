@@ -37,10 +37,10 @@ const TRIAL_SAMPLES: usize = 5000;
 const TRIAL_RATE: DataRate = DataRate::Hz250;
 
 /// How long the next sample may take on a busy machine.
-const PATIENCE: Duration = Duration::from_secs(10);
+const PATIENCE: Duration = Duration::from_secs(30);
 
 /// How long the board is given to find out what is wrong with its converter, or that nothing is any more.
-const DIAGNOSIS: Duration = Duration::from_secs(20);
+const DIAGNOSIS: Duration = Duration::from_secs(30);
 
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
@@ -83,7 +83,7 @@ fn wait_for(client: &mut Client<SerialTransport>, expected: AdcState) {
 fn next_codes(client: &mut Client<SerialTransport>) -> CodesFrame {
     match client.next_frame(PATIENCE).unwrap() {
         Some(Frame::Codes(frame)) => frame,
-        other => panic!("{other:?} instead of codes"),
+        other => panic!("{other:?} instead of codes; {:?}", client.status()),
     }
 }
 

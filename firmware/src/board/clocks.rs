@@ -13,6 +13,8 @@
 //! The last needs no ready bit at all: the processor runs on it since its reset. The emulator, which models no ready bits, ends
 //! there.
 
+use cortex_m::peripheral::SYST;
+use cortex_m::peripheral::syst::SystClkSource;
 use ftcal_shared::wire::ClockSource;
 use stm32f4xx_hal::pac::RCC;
 use stm32f4xx_hal::rcc::{Config, HSI, Rcc, RccExt};
@@ -34,11 +36,11 @@ const PLL_LOCK_MICROS: u32 = 1_000;
 const PLL_INPUT_HERTZ: u32 = 2_000_000;
 
 /// Sets the clocks up, and says where they come from.
-pub(super) fn start(rcc: RCC) -> (Rcc, ClockSource) {
+pub(super) fn start(rcc: RCC, systick: &mut SYST) -> (Rcc, ClockSource) {
     let full_speed = Hertz::from_raw(PROCESSOR_HERTZ);
-    let (config, source) = if crystal_starts(&rcc) && pll_locks(&rcc, true) {
+    let (config, source) = if crystal_starts(&rcc, systick) && pll_locks(&rcc, systick, true) {
         (Config::hse(Hertz::from_raw(CRYSTAL_HERTZ)).sysclk(full_speed), ClockSource::Crystal)
-    } else if pll_locks(&rcc, false) {
+    } else if pll_locks(&rcc, systick, false) {
         (Config::hsi().sysclk(full_speed), ClockSource::InternalFallback)
     } else {
         (Config::hsi(), ClockSource::InternalFallback)
@@ -47,9 +49,9 @@ pub(super) fn start(rcc: RCC) -> (Rcc, ClockSource) {
 }
 
 /// Leaves the crystal on if it does start.
-fn crystal_starts(rcc: &RCC) -> bool {
+fn crystal_starts(rcc: &RCC, systick: &mut SYST) -> bool {
     rcc.cr().modify(|_, w| w.hseon().set_bit());
-    let starts = happens_within(CRYSTAL_START_MICROS, || rcc.cr().read().hserdy().bit_is_set());
+    let starts = happens_within(systick, CRYSTAL_START_MICROS, || rcc.cr().read().hserdy().bit_is_set());
     if !starts {
         rcc.cr().modify(|_, w| w.hseon().clear_bit());
     }
@@ -57,7 +59,7 @@ fn crystal_starts(rcc: &RCC) -> bool {
 }
 
 /// Leaves the PLL off, for it to be set up and started by the HAL.
-fn pll_locks(rcc: &RCC, from_crystal: bool) -> bool {
+fn pll_locks(rcc: &RCC, systick: &mut SYST, from_crystal: bool) -> bool {
     let source_hertz = if from_crystal { CRYSTAL_HERTZ } else { HSI };
     #[expect(clippy::cast_possible_truncation, reason = "four or eight")]
     let divisor = (source_hertz / PLL_INPUT_HERTZ) as u8;
@@ -68,19 +70,19 @@ fn pll_locks(rcc: &RCC, from_crystal: bool) -> bool {
         unsafe { w.pllsrc().bit(from_crystal).pllm().bits(divisor) }
     });
     rcc.cr().modify(|_, w| w.pllon().set_bit());
-    let locks = happens_within(PLL_LOCK_MICROS, || rcc.cr().read().pllrdy().bit_is_set());
+    let locks = happens_within(systick, PLL_LOCK_MICROS, || rcc.cr().read().pllrdy().bit_is_set());
     rcc.cr().modify(|_, w| w.pllon().clear_bit());
-    let stops = happens_within(PLL_LOCK_MICROS, || rcc.cr().read().pllrdy().bit_is_clear());
+    let stops = happens_within(systick, PLL_LOCK_MICROS, || rcc.cr().read().pllrdy().bit_is_clear());
     locks && stops
 }
 
-/// Waits for something on the internal oscillator, on which the processor runs until the clocks are set up.
-fn happens_within(micros: u32, mut condition: impl FnMut() -> bool) -> bool {
-    for _ in 0..micros {
-        if condition() {
-            return true;
-        }
-        cortex_m::asm::delay(HSI / 1_000_000);
-    }
+/// Waits for something, by the processor's own timer, which counts the internal oscillator until the clocks are set up.
+fn happens_within(systick: &mut SYST, micros: u32, condition: impl Fn() -> bool) -> bool {
+    systick.set_clock_source(SystClkSource::Core);
+    systick.set_reload(micros * (HSI / 1_000_000));
+    systick.clear_current();
+    systick.enable_counter();
+    while !condition() && !systick.has_wrapped() {}
+    systick.disable_counter();
     condition()
 }

@@ -21,7 +21,7 @@
 //! | [`clocks`] | 168 MHz from the crystal, or a fall-back that is told |
 //! | [`time_base`] | microseconds since the start |
 //! | [`link`] | bytes from and to the host |
-//! | `carrier` | the converter's bus and data-ready line: the only part in which the emulated image differs |
+//! | `carrier` | the converter's bus and data-ready line: the only file in which the emulated image differs |
 //! | [`failure`] | what happens after a panic or a fault of the processor |
 
 pub(crate) mod clocks;
@@ -62,9 +62,9 @@ pub(crate) struct Board {
 
 /// Sets everything up. Takes at most the time that the crystal is given to start; nothing here waits for the converter or the
 /// host.
-pub(crate) fn set_up(device: Peripherals, systick: SYST, queues: LinkQueues) -> Board {
-    let (mut rcc, clock) = clocks::start(device.RCC);
-    time_base::start(device.TIM2, &mut rcc);
+pub(crate) fn set_up(device: Peripherals, mut systick: SYST, queues: LinkQueues) -> Board {
+    let (mut rcc, clock) = clocks::start(device.RCC, &mut systick);
+    time_base::start(device.TIM2, carrier::timer_clock(&rcc.clocks), &mut rcc);
     let gpioa = device.GPIOA.split(&mut rcc);
     let gpiob = device.GPIOB.split(&mut rcc);
     let link = Link::new(device.USART2, gpioa.pa2, gpioa.pa3, queues, &mut rcc);

@@ -7,16 +7,16 @@ use embedded_hal_bus::spi::{DeviceError, ExclusiveDevice};
 use ftcal_shared::units::DeviceTime;
 use stm32f4xx_hal::gpio::gpiob::Parts;
 use stm32f4xx_hal::gpio::{Edge, ExtiPin, Input, Output, PB8, PB9, Speed};
-use stm32f4xx_hal::pac::{EXTI, SPI2, SYSCFG, USART3};
-use stm32f4xx_hal::rcc::Rcc;
+use stm32f4xx_hal::pac::{EXTI, SPI2, SYSCFG, TIM2, USART3};
+use stm32f4xx_hal::rcc::{BusClock, BusTimerClock, Clocks, Rcc};
 use stm32f4xx_hal::spi::{self, Spi, SpiExt};
 use stm32f4xx_hal::syscfg::SysCfgExt;
 use stm32f4xx_hal::time::Hertz;
 
 use super::time_base::Delay;
 
-/// The converter takes 25 MHz; the nearest below that the bus can do is 21 MHz, half of its clock.
-const CLOCK_HERTZ: u32 = 21_000_000;
+/// The converter takes 25 MHz; the nearest below that the bus can do is half of its clock: 21 MHz at full speed.
+const FASTEST: Hertz = Hertz::from_raw(25_000_000);
 
 /// The converter's bus.
 pub struct Converter {
@@ -42,12 +42,18 @@ pub(crate) struct DataReady {
 }
 
 impl DataReady {
-    /// Acknowledges the interrupt. `None` where the line does not stand low: then the conversion was read meanwhile, as happens
-    /// while the converter is being started, and this interrupt is an echo of it.
-    pub(crate) fn announced(&mut self, now: DeviceTime) -> Option<DeviceTime> {
+    /// Acknowledges the interrupt and does something about it, given when the line fell. `None` where it does not stand low any
+    /// more: then the conversion was read meanwhile, as happens while the converter is being started, and this interrupt is
+    /// an echo of it.
+    pub(crate) fn handle<T>(&mut self, now: DeviceTime, act: impl FnOnce(DeviceTime) -> T) -> Option<T> {
         self.line.clear_interrupt_pending_bit();
-        self.line.is_low().then_some(now)
+        self.line.is_low().then(|| act(now))
     }
+}
+
+/// The rate of TIM2 before it divides: 84 MHz at full speed, 16 MHz on the internal oscillator.
+pub(super) fn timer_clock(clocks: &Clocks) -> Hertz {
+    TIM2::timer_clock(clocks)
 }
 
 /// Connects the converter. (The serial line is the emulated carrier's.)
@@ -62,7 +68,9 @@ pub(super) fn connect(
     let clock = pins.pb13.into_alternate::<5>().speed(Speed::VeryHigh);
     let miso = pins.pb14.into_alternate::<5>().speed(Speed::VeryHigh);
     let mosi = pins.pb15.into_alternate::<5>().speed(Speed::VeryHigh);
-    let bus = spi.spi((Some(clock), Some(miso), Some(mosi)), MODE_1, Hertz::from_raw(CLOCK_HERTZ), rcc);
+    // The bus divides its clock by two at least.
+    let hertz = FASTEST.min(SPI2::clock(&rcc.clocks) / 2);
+    let bus = spi.spi((Some(clock), Some(miso), Some(mosi)), MODE_1, hertz, rcc);
     let mut select = pins.pb9.into_push_pull_output();
     select.set_high();
     let Ok(device) = ExclusiveDevice::new(bus, select, Delay);

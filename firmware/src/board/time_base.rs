@@ -3,8 +3,8 @@
 //! Reading it takes no lock and is right at every priority. It serves as the delay of drivers, too. Its overflow needs no
 //! interrupt: the tick, a hundred times a second, follows it.
 //!
-//! Why this counter: the emulator has no cycle counter and no timer compare flags; its SysTick runs at a fixed 168 MHz,
-//! whatever the clock; its TIM2 counts at any rate that it is told: 16 MHz, the clock that the emulated board ends up with.
+//! Why this counter: it is the longest that the chip has, and it counts in the emulator, too, which has no cycle counter and no
+//! timer compare flags. The rate at which it does so there is known to the carrier.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
@@ -12,18 +12,18 @@ use embedded_hal::delay::DelayNs;
 use ftcal_firmware::long_count;
 use ftcal_shared::units::DeviceTime;
 use stm32f4xx_hal::pac::TIM2;
-use stm32f4xx_hal::rcc::{BusTimerClock, Enable, Rcc, Reset};
+use stm32f4xx_hal::rcc::{Enable, Rcc, Reset};
+use stm32f4xx_hal::time::Hertz;
 
 /// Completed halves of the counter's range.
 static HALVES: AtomicU32 = AtomicU32::new(0);
 
-/// Starts the clock at zero; until then it stands there.
+/// Starts the clock at zero, where it stands until then; `timer_clock` is what the timer counts before it divides.
 #[expect(clippy::needless_pass_by_value, reason = "taken for good: from here on nobody writes this timer")]
-pub(super) fn start(tim2: TIM2, rcc: &mut Rcc) {
+pub(super) fn start(tim2: TIM2, timer_clock: Hertz, rcc: &mut Rcc) {
     TIM2::enable(rcc);
     TIM2::reset(rcc);
-    // 84 at full speed, 16 on the internal oscillator.
-    let divisor = TIM2::timer_clock(&rcc.clocks).raw() / 1_000_000;
+    let divisor = timer_clock.raw() / 1_000_000;
     tim2.psc().write(|w| w.psc().set(u16::try_from(divisor - 1).unwrap_or(u16::MAX)));
     tim2.arr().write(|w| w.arr().set(u32::MAX));
     // The prescaler takes effect at an update.

@@ -11,25 +11,29 @@ use cortex_m::peripheral::NVIC;
 use critical_section::Mutex;
 use embedded_hal::spi::{Error, ErrorKind, ErrorType, Operation, SpiDevice};
 use embedded_hal_nb::serial::{Read, Write};
-use ftcal_firmware::tunnel::{ANSWER_MICROS, FromConverter, Transfer, gather, scatter};
+use ftcal_firmware::tunnel::{ANSWER_MICROS, FromBoard, FromConverter, Transfer, gather, scatter};
 use ftcal_shared::units::DeviceTime;
 use ftcal_shared::wire::frame::{Decoder, encode};
 use stm32f4xx_hal::gpio::gpiob::Parts;
 use stm32f4xx_hal::pac::{EXTI, Interrupt, SPI2, SYSCFG, USART3, interrupt};
-use stm32f4xx_hal::rcc::Rcc;
+use stm32f4xx_hal::rcc::{Clocks, Rcc};
 use stm32f4xx_hal::serial::config::Config;
 use stm32f4xx_hal::serial::{Rx, RxListen, SerialExt, Tx};
-use stm32f4xx_hal::time::Bps;
+use stm32f4xx_hal::time::{Bps, Hertz};
 
 use super::time_base;
 
 /// The emulator does not care.
 const BAUD: u32 = 921_600;
 
-/// The receiving end, which the serial interrupt shares with both parts below.
-static RECEIVER: Mutex<RefCell<Option<Receiver>>> = Mutex::new(RefCell::new(None));
+/// Looks at memory between two looks at the clock, which is a peripheral and takes the emulator a thousand times as long.
+const LOOKS: u32 = 1000;
 
-struct Receiver {
+/// The line, which the serial interrupt shares with both parts below.
+static LINE: Mutex<RefCell<Option<Line>>> = Mutex::new(RefCell::new(None));
+
+struct Line {
+    tx: Tx<USART3>,
     rx: Rx<USART3>,
     decoder: Decoder,
     answer: Option<Transfer>,
@@ -39,7 +43,6 @@ struct Receiver {
 
 /// The converter's bus.
 pub struct Converter {
-    tx: Tx<USART3>,
     number: u8,
 }
 
@@ -72,41 +75,62 @@ impl SpiDevice for Converter {
         let bytes = gather(operations).ok_or(TunnelError::TooLong)?;
         let length = bytes.len();
         self.number = self.number.wrapping_add(1);
-        let question = encode(&Transfer { number: self.number, bytes }).map_err(|_| TunnelError::TooLong)?;
-        with_receiver(|receiver| {
-            receiver.answer = None;
+        with_line(|line| {
+            line.answer = None;
             // The first clock edge releases the data-ready line.
-            receiver.announced = None;
+            line.announced = None;
         });
-        let begin = time_base::now().as_micros();
-        let in_time = || time_base::now().as_micros() - begin < ANSWER_MICROS;
-        for &byte in &question {
-            while self.tx.write(byte).is_err() {
-                if !in_time() {
-                    return Err(TunnelError::NoAnswer);
-                }
-            }
+        send(&FromBoard::Transfer(Transfer { number: self.number, bytes }))?;
+        let answer = wait_for(|| {
+            let answer = with_line(|line| line.answer.take()).flatten();
+            answer.filter(|answer| answer.number == self.number)
+        })?;
+        if answer.bytes.len() != length {
+            return Err(TunnelError::NoAnswer);
         }
-        while in_time() {
-            let answer = with_receiver(|receiver| receiver.answer.take()).flatten();
-            if let Some(answer) = answer.filter(|answer| answer.number == self.number) {
-                if answer.bytes.len() != length {
-                    return Err(TunnelError::NoAnswer);
-                }
-                scatter(&answer.bytes, operations);
-                return Ok(());
-            }
-        }
-        Err(TunnelError::NoAnswer)
+        scatter(&answer.bytes, operations);
+        Ok(())
     }
 }
 
 impl DataReady {
-    /// When the line fell, by the converter's own clock, if it still stands low. `_now` is what the real board answers.
-    pub(crate) fn announced(&mut self, _now: DeviceTime) -> Option<DeviceTime> {
+    /// Does something about an announcement, given when the line fell by the converter's own clock. `None` where it does
+    /// not stand low any more. (`_now` is what the real board takes for that time.)
+    pub(crate) fn handle<T>(&mut self, _now: DeviceTime, act: impl FnOnce(DeviceTime) -> T) -> Option<T> {
         let () = self.connected;
-        with_receiver(|receiver| receiver.announced).flatten()
+        let done = with_line(|line| line.announced).flatten().map(act);
+        // Where this is lost, the converter goes on later.
+        let _ = send(&FromBoard::Handled);
+        done
     }
+}
+
+fn send(message: &FromBoard) -> Result<(), TunnelError> {
+    let frame = encode(message).map_err(|_| TunnelError::TooLong)?;
+    for &byte in &frame {
+        wait_for(|| with_line(|line| line.tx.write(byte).ok()).flatten())?;
+    }
+    Ok(())
+}
+
+/// Looks for something, for at most [`ANSWER_MICROS`].
+fn wait_for<T>(mut look: impl FnMut() -> Option<T>) -> Result<T, TunnelError> {
+    let begin = time_base::now().as_micros();
+    loop {
+        for _ in 0..LOOKS {
+            if let Some(found) = look() {
+                return Ok(found);
+            }
+        }
+        if time_base::now().as_micros() - begin > ANSWER_MICROS {
+            return Err(TunnelError::NoAnswer);
+        }
+    }
+}
+
+/// The rate of TIM2 before it divides: the emulator's timers count nanoseconds, whatever the clock.
+pub(super) fn timer_clock(_clocks: &Clocks) -> Hertz {
+    Hertz::from_raw(1_000_000_000)
 }
 
 /// Connects the tunnel. (The bus and the pin's interrupt are the other carrier's.)
@@ -125,11 +149,10 @@ pub(super) fn connect(
     let (tx, mut rx) = serial.split();
     rx.listen();
     critical_section::with(|section| {
-        RECEIVER
-            .replace(section, Some(Receiver { rx, decoder: Decoder::new(), answer: None, announced: None }));
+        LINE.replace(section, Some(Line { tx, rx, decoder: Decoder::new(), answer: None, announced: None }));
     });
     listen_to_interrupt();
-    (Converter { tx, number: 0 }, DataReady { connected: () })
+    (Converter { number: 0 }, DataReady { connected: () })
 }
 
 #[expect(unsafe_code, reason = "the interrupt is not among those that RTIC switches on")]
@@ -139,18 +162,18 @@ fn listen_to_interrupt() {
     unsafe { NVIC::unmask(Interrupt::USART3) };
 }
 
-fn with_receiver<T>(act: impl FnOnce(&mut Receiver) -> T) -> Option<T> {
-    critical_section::with(|section| RECEIVER.borrow_ref_mut(section).as_mut().map(act))
+fn with_line<T>(act: impl FnOnce(&mut Line) -> T) -> Option<T> {
+    critical_section::with(|section| LINE.borrow_ref_mut(section).as_mut().map(act))
 }
 
 #[interrupt]
 fn USART3() {
-    with_receiver(|receiver| {
-        let Ok(byte) = receiver.rx.read() else { return };
-        match receiver.decoder.push::<FromConverter>(byte) {
-            Some(Ok(FromConverter::Transferred(answer))) => receiver.answer = Some(answer),
+    with_line(|line| {
+        let Ok(byte) = line.rx.read() else { return };
+        match line.decoder.push::<FromConverter>(byte) {
+            Some(Ok(FromConverter::Transferred(answer))) => line.answer = Some(answer),
             Some(Ok(FromConverter::DataReady(time))) => {
-                receiver.announced = Some(time);
+                line.announced = Some(time);
                 NVIC::pend(Interrupt::EXTI9_5);
             }
             Some(Err(_)) | None => {}
