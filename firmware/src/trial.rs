@@ -162,12 +162,7 @@ where
                     store.restart([AdcCode::ZERO; GAGES]);
                 }
                 self.phase = TrialPhase::Solving;
-                Ok(SolveJob {
-                    store,
-                    wanted: Wanted::Solution,
-                    rank: self.rank,
-                    saturated: self.saturated,
-                })
+                Ok(SolveJob { store, wanted: Wanted::Solution, rank: self.rank, saturated: self.saturated })
             }
         }
     }
@@ -213,8 +208,12 @@ where
     fn coverage(&mut self) -> Result<Coverage, Refusal> {
         self.store.settle();
         match self.rank {
-            2 => coverage_so_far::<GAGES, HIGHER, 2>(&self.store).map(|covered| coverage_on_the_wire(&covered)),
-            _ => coverage_so_far::<GAGES, HIGHER, 3>(&self.store).map(|covered| coverage_on_the_wire(&covered)),
+            2 => {
+                coverage_so_far::<GAGES, HIGHER, 2>(&self.store).map(|covered| coverage_on_the_wire(&covered))
+            }
+            _ => {
+                coverage_so_far::<GAGES, HIGHER, 3>(&self.store).map(|covered| coverage_on_the_wire(&covered))
+            }
         }
     }
 

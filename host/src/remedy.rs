@@ -273,18 +273,20 @@ pub fn calibration(refusal: &CalibrationRefusal) -> Explained {
             "the gages hardly respond to some combination of forces and torques",
             "Check `dof`, the wiring of every gage, and that the arms differ in all directions.",
         ),
-        CalibrationRefusal::NotLinear { trial, redundant_counts, rest_counts, signal_counts } => Explained::new(
-            "not-linear",
-            format!(
-                "trial {}: the gages move by {redundant_counts:.1} counts in a direction that no load should move them in \
+        CalibrationRefusal::NotLinear { trial, redundant_counts, rest_counts, signal_counts } => {
+            Explained::new(
+                "not-linear",
+                format!(
+                    "trial {}: the gages move by {redundant_counts:.1} counts in a direction that no load should move them in \
                  ({:.2} % of the signal, {:.0} times the noise at rest): the sensor is not linear at this load",
-                trial + 1,
-                100.0 * redundant_counts / signal_counts,
-                redundant_counts / rest_counts
-            ),
-            "Use a smaller mass, and check that nothing touches the sensor or comes loose as it turns; to calibrate all the \
+                    trial + 1,
+                    100.0 * redundant_counts / signal_counts,
+                    redundant_counts / rest_counts
+                ),
+                "Use a smaller mass, and check that nothing touches the sensor or comes loose as it turns; to calibrate all the \
              same, add `--allow-nonlinear`.",
-        ),
+            )
+        }
         CalibrationRefusal::ReferenceDiffers { trial, drift, other_hand, need } => Explained::new(
             "reference-differs",
             format!(
@@ -383,7 +385,12 @@ mod tests {
             CalibrationRefusal::TooFewKnownLoads { have: 5, need: 6 },
             CalibrationRefusal::KnownLoadsDoNotSpan { have: 5, need: 6 },
             CalibrationRefusal::KnownLoadsNotLinear { residual: 0.5, need: 0.2 },
-            CalibrationRefusal::NotLinear { trial, redundant_counts: 100.0, rest_counts: 1.0, signal_counts: 1e4 },
+            CalibrationRefusal::NotLinear {
+                trial,
+                redundant_counts: 100.0,
+                rest_counts: 1.0,
+                signal_counts: 1e4,
+            },
             CalibrationRefusal::ReferenceDiffers { trial, drift: 0.4, other_hand: 1.5, need: 0.1 },
         ]
     }

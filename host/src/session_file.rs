@@ -307,7 +307,10 @@ accuracy_deg = 0.2
     fn a_check_is_a_trial_with_no_known_load_beside_one_that_is_fitted() {
         let check = "[[trial]]\nrecording = \"b.csv\"\nmass_kg = 4\narm_m = [0, 0, 0.1]\nrole = \"check\"\n";
         let session = parse(&format!("{WRIST}{check}")).expect("a session");
-        assert_eq!(session.trials.iter().map(|trial| trial.role).collect::<Vec<_>>(), [Role::Fit, Role::Check]);
+        assert_eq!(
+            session.trials.iter().map(|trial| trial.role).collect::<Vec<_>>(),
+            [Role::Fit, Role::Check]
+        );
         place_of_error(&format!("dof = \"spatial-force-torque\"\n{check}"));
         place_of_error(&WRIST.replace("mass_kg = 2", "mass_kg = 2\nrole = \"check\""));
         place_of_error(&WRIST.replace("mass_kg = 2", "mass_kg = 2\nrole = \"other\""));

@@ -9,9 +9,9 @@ use ftcal_shared::refusal::Refusal;
 use ftcal_shared::units::{AdcCode, DataRate, DeviceTime, Dof, Gain, SampleIndex};
 use ftcal_shared::wire::frame::{Decoder, FrameError, encode};
 use ftcal_shared::wire::{
-    AdcState, CalibrationUpload, ClockSource, CodesFrame, Coverage, GageList, GageTarget, Hello, InvalidCause,
-    Measurement, PROTOCOL_VERSION, Rejection, Request, Response, Solution, Status, StreamKind, ToDevice, ToHost,
-    TrialPhase, TrialStatus, WrenchFrame,
+    AdcState, CalibrationUpload, ClockSource, CodesFrame, Coverage, GageList, GageTarget, Hello,
+    InvalidCause, Measurement, PROTOCOL_VERSION, Rejection, Request, Response, Solution, Status, StreamKind,
+    ToDevice, ToHost, TrialPhase, TrialStatus, WrenchFrame,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;

@@ -193,12 +193,16 @@ mod tests {
         let recording = sensor.record(1.0, &[], &sphere(400));
         let counts: Vec<f64> = recording
             .samples()
-            .flat_map(|(_, codes)| recording.counts(codes).iter().map(|count| count / 3.0 + 0.1).collect::<Vec<_>>())
+            .flat_map(|(_, codes)| {
+                recording.counts(codes).iter().map(|count| count / 3.0 + 0.1).collect::<Vec<_>>()
+            })
             .collect();
         let times = recording.samples().map(|(time, _)| time).collect();
         let scaled = quality(&Recording::from_counts(6, times, &counts));
         let plain = quality(&recording);
-        let ratio = scaled.shape_deviation_counts_per_load.norm() * 3.0 / plain.shape_deviation_counts_per_load.norm();
-        assert!((ratio - 1.0).abs() < 1e-3, "{ratio}");
+        let ratio = scaled.shape_deviation_counts_per_load.norm() * 3.0
+            / plain.shape_deviation_counts_per_load.norm();
+        // The deviations follow from what moments near one differ by, about 10⁻⁵ here, and those are rounded to about 10⁻⁷.
+        assert!((ratio - 1.0).abs() < 0.02, "{ratio}");
     }
 }

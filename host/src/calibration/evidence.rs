@@ -92,7 +92,9 @@ pub fn calibrate(
         }
         Method::LeastSquares => {
             let mut cases = Vec::with_capacity(session.trials.len());
-            for (index, trial) in session.trials.iter().enumerate().filter(|(_, trial)| trial.role == Role::Fit) {
+            for (index, trial) in
+                session.trials.iter().enumerate().filter(|(_, trial)| trial.role == Role::Fit)
+            {
                 cases.push(reader.case(index, trial, &mut None)?);
             }
             least_squares::calibrate(session.dof, session.gravity, &cases)?

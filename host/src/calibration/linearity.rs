@@ -57,16 +57,15 @@ pub struct CheckRecord {
 /// # Errors
 ///
 /// [`CalibrationRefusal::NotLinear`].
-pub fn require_linear(
-    trial: usize,
-    solved: &SolvedTrial,
-) -> Result<(), CalibrationRefusal> {
+pub fn require_linear(trial: usize, solved: &SolvedTrial) -> Result<(), CalibrationRefusal> {
     let rank = solved.shape.rank();
     let Some(rest_counts) = noise_at_rest(&solved.case.known_loads) else { return Ok(()) };
     let Some(&next) = solved.shape.eigenvalues.get(rank) else { return Ok(()) };
     let redundant_counts = next.max(0.0).sqrt();
     let signal_counts = solved.shape.shape_counts_per_load.norm() / (rank as f64).sqrt();
-    if redundant_counts > LARGEST_NOISE_RATIO * rest_counts && redundant_counts > LEAST_NONLINEARITY * signal_counts {
+    if redundant_counts > LARGEST_NOISE_RATIO * rest_counts
+        && redundant_counts > LEAST_NONLINEARITY * signal_counts
+    {
         return Err(CalibrationRefusal::NotLinear { trial, redundant_counts, rest_counts, signal_counts });
     }
     Ok(())
@@ -98,7 +97,7 @@ pub fn check(calibration: &Calibration, trial: &SolvedTrial) -> CheckRecord {
 
 #[cfg(test)]
 mod tests {
-    use ftcal_shared::units::{AdcCode, Dof};
+    use ftcal_shared::units::Dof;
     use nalgebra::DVector;
 
     use super::{check, require_linear};
@@ -125,8 +124,7 @@ mod tests {
                 (bent + &bias).iter().copied().collect::<Vec<_>>()
             })
             .collect();
-        let codes = counts.iter().map(|&count| AdcCode::saturating(count as i64)).collect();
-        Recording::from_codes(straight.gages(), vec![0.0; straight.len()], codes)
+        Recording::from_counts(straight.gages(), vec![0.0; straight.len()], &counts)
     }
 
     fn solved(sensor: &mut Sensor, share: f64) -> SolvedTrial {
@@ -135,11 +133,8 @@ mod tests {
         let recording = bent(sensor, &sphere(1500), share);
         let shape = trial::solve(&recording, 3).expect("the motion spans");
         let motion = motion::recover(&recording, &shape).expect("invertible");
-        let known = KnownLoad {
-            direction,
-            accuracy_rad: 1e-3,
-            rest: average(&rest).expect("nothing is saturated"),
-        };
+        let known =
+            KnownLoad { direction, accuracy_rad: 1e-3, rest: average(&rest).expect("nothing is saturated") };
         SolvedTrial {
             case: LoadCase {
                 name: "trial.csv".to_owned(),

@@ -128,9 +128,8 @@ fn record(trial: &SolvedTrial) -> TrialRecord {
 /// What brings a row of the stored shape to one unit: one for forces, the length in metre at which torques answer as forces do.
 fn lengths(stored: &Calibration) -> DVector<f64> {
     let (rank, rows) = (stored.dof.trial_rank(), stored.dof.count());
-    let mean = |from: usize, count: usize| {
-        stored.shape.rows(from, count).norm() / (count.max(1) as f64).sqrt()
-    };
+    let mean =
+        |from: usize, count: usize| stored.shape.rows(from, count).norm() / (count.max(1) as f64).sqrt();
     let length = if rows > rank { mean(0, rank) / mean(rank, rows - rank) } else { 1.0 };
     DVector::from_fn(rows, |row, _| if row < rank { 1.0 } else { length })
 }
@@ -238,19 +237,20 @@ mod tests {
             let drift = found.drift.expect("what the reference is for");
             assert_eq!(drift.components_seen, seen);
             // Noise of 0.01 % of the load and 1500 samples: far below a tenth of a per cent.
-            assert!(drift.gage_percent.iter().chain(&drift.axis_percent).all(|&percent| percent < 0.1), "{drift:?}");
+            assert!(
+                drift.gage_percent.iter().chain(&drift.axis_percent).all(|&percent| percent < 0.1),
+                "{drift:?}"
+            );
         }
     }
 
     #[test]
     fn another_sensor_is_refused() {
-        for (dof, gages, arms) in [(Dof::SpatialForceTorque, 8, &ARMS[..])] {
-            let stored = truth(&Sensor::new(dof, gages, 1));
-            let mut other = Sensor::new(dof, gages, 2);
-            let trials = trials(&mut other, arms);
-            let refused = recalibrate(&stored, STANDARD_GRAVITY, &trials);
-            assert!(matches!(refused, Err(CalibrationRefusal::ReferenceDiffers { trial: 0, .. })), "{refused:?}");
-        }
+        let stored = truth(&Sensor::new(Dof::SpatialForceTorque, 8, 1));
+        let mut other = Sensor::new(Dof::SpatialForceTorque, 8, 2);
+        let refused = recalibrate(&stored, STANDARD_GRAVITY, &trials(&mut other, &ARMS));
+        assert!(matches!(refused, Err(CalibrationRefusal::ReferenceDiffers { trial: 0, .. })), "{refused:?}");
+
         let mut sensor = Sensor::new(Dof::SpatialForceTorque, 8, 3);
         let stored = truth(&sensor);
         let change = DMatrix::from_fn(6, 8, |row, gage| if (row + gage) % 2 == 0 { 1.5 } else { 0.5 });

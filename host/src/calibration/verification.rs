@@ -78,7 +78,8 @@ pub fn verify(calibration: &Calibration, recording: &Recording, mass: KnownMass)
         .map(|(_, codes)| recording.counts(codes) - &calibration.bias_counts)
         .collect();
     let force_rows = calibration.matrix.rows(0, forces);
-    let magnitude = magnitude(signals.iter().map(|signal| (force_rows * signal).norm()).collect::<Vec<_>>().into_iter())?;
+    let magnitude =
+        magnitude(signals.iter().map(|signal| (force_rows * signal).norm()).collect::<Vec<_>>().into_iter())?;
     let expected_n = mass.mass_kg * calibration.gravity;
     let mass_deviation_n = mass.accuracy_kg.unwrap_or(MASS_ACCURACY * mass.mass_kg) * calibration.gravity;
     let predicted_deviation_n = predicted_deviation(calibration, expected_n)
@@ -199,14 +200,14 @@ mod tests {
         let directions = vec![spatial(0.0, 0.0, -1.0), spatial(1.0, 0.2, 0.0), spatial(-0.1, 1.0, 0.3)];
         let rests = Rests { directions, accuracy_rad: 1e-3 };
         let trials: Vec<_> = ARMS.iter().map(|arm| sensor.trial(2.0, arm, &rests)).collect();
-        let calibration =
-            calibrate(sensor.dof, STANDARD_GRAVITY, &trials).expect("the evidence is good");
+        let calibration = calibrate(sensor.dof, STANDARD_GRAVITY, &trials).expect("the evidence is good");
         (sensor, calibration)
     }
 
     fn check(sensor: &mut Sensor, calibration: &Calibration, hung_kg: f64, claimed_kg: f64) -> Verification {
         let recording = sensor.record(hung_kg, &[0.02, -0.01, 0.08], &sphere(200));
-        verify(calibration, &recording, KnownMass { mass_kg: claimed_kg, accuracy_kg: None }).expect("samples")
+        verify(calibration, &recording, KnownMass { mass_kg: claimed_kg, accuracy_kg: None })
+            .expect("samples")
     }
 
     #[test]

@@ -88,7 +88,8 @@ impl Report {
         let trial = solve(recording, rank)?;
         let magnitude = recover(recording, &trial)?.magnitude().ok_or(Refusal::NonFinite)?;
         let (rank, gages) = (trial.rank(), trial.gages());
-        let TrialShape { samples, eigenvalues, noise_counts, bias_counts, shape_counts_per_load, quality } = trial;
+        let TrialShape { samples, eigenvalues, noise_counts, bias_counts, shape_counts_per_load, quality } =
+            trial;
         Ok(Self {
             rank,
             gages,
@@ -119,7 +120,11 @@ impl Report {
         }
         writeln!(out, "magnitude    {:.5} ± {:.5} of the load", self.magnitude.mean, self.magnitude.std)?;
         if let Some(coverage) = &self.coverage {
-            writeln!(out, "uncertainty  {:.3} % of the load at worst", 100.0 * coverage.worst_relative_uncertainty)?;
+            writeln!(
+                out,
+                "uncertainty  {:.3} % of the load at worst",
+                100.0 * coverage.worst_relative_uncertainty
+            )?;
             writeln!(out, "coverage     {:.0} % of all directions", 100.0 * coverage.fraction)?;
             writeln!(out, "to learn most, {}", coverage.weakest_direction)?;
         }

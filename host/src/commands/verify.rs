@@ -59,9 +59,8 @@ fn failure(found: &Verification) -> Option<Explained> {
     if let Some(parity) = found.parity.as_ref().filter(|parity| !parity.passed) {
         return Some(remedy::gage_suspect(parity.worst_gage, parity.worst_standardised));
     }
-    (!found.magnitude_passed).then(|| {
-        remedy::verification_failed(found.mean_n, found.expected_n, found.predicted_deviation_n)
-    })
+    (!found.magnitude_passed)
+        .then(|| remedy::verification_failed(found.mean_n, found.expected_n, found.predicted_deviation_n))
 }
 
 fn summarise(found: &Verification, out: &mut dyn Write) -> io::Result<()> {

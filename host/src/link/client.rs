@@ -12,8 +12,8 @@ use std::time::Duration;
 use ftcal_shared::units::{DataRate, Gain};
 use ftcal_shared::wire::frame::{Decoder, END_OF_FRAME, encode};
 use ftcal_shared::wire::{
-    AdcState, CalibrationUpload, Coverage, Hello, PRODUCT, PROTOCOL_VERSION, Request, RequestId, Response, Solution,
-    Status, StreamKind, ToDevice, ToHost, TrialStatus,
+    AdcState, CalibrationUpload, Coverage, Hello, PRODUCT, PROTOCOL_VERSION, Request, RequestId, Response,
+    Solution, Status, StreamKind, ToDevice, ToHost, TrialStatus,
 };
 
 use super::error::{ClientError, LinkError};

@@ -111,8 +111,14 @@ impl Trial {
             let expected = format!("a mass from {} to {} kg", MASS_KG.start(), MASS_KG.end());
             return Err(Unexpected::at(&self.mass_kg, expected, self.mass_kg.as_ref().to_string()));
         }
-        if let Some(role) = self.role.as_ref().filter(|_| self.role() == Role::Check && !self.known_load.is_empty()) {
-            return Err(Unexpected::at(role, "no known load of a check: it is compared, never fitted", "one"));
+        if let Some(role) =
+            self.role.as_ref().filter(|_| self.role() == Role::Check && !self.known_load.is_empty())
+        {
+            return Err(Unexpected::at(
+                role,
+                "no known load of a check: it is compared, never fitted",
+                "one",
+            ));
         }
         Ok(SessionTrial {
             role: self.role(),
