@@ -211,7 +211,7 @@ mod app {
                 cortex_m::asm::wfi();
                 continue;
             };
-            let response = job.solve().map_or_else(Response::Refused, Response::Solution);
+            let response = job.response();
             context.shared.sensor.lock(|sensor| sensor.finish_solving(job));
             context.shared.outcome.lock(|outcome| *outcome = Some((id, response)));
             rtic::pend(Interrupt::TIM7);

@@ -38,7 +38,7 @@ impl From<StreamFrame> for ToHost {
 pub enum Reaction<Store, const GAGES: usize, const HIGHER: usize> {
     /// Send this.
     Respond(Response),
-    /// Solve this in the background, send the outcome as the response, and give the job back by
+    /// Compute this in the background, send the outcome ([`SolveJob::response`]), and give the job back by
     /// [`Sensor::finish_solving`].
     Solve(SolveJob<Store, GAGES, HIGHER>),
 }
@@ -132,13 +132,17 @@ where
                 Ok(job) => return Reaction::Solve(job),
                 Err(rejection) => Err(rejection),
             },
+            Request::Coverage => match self.trial.take_for_coverage() {
+                Ok(job) => return Reaction::Solve(job),
+                Err(rejection) => Err(rejection),
+            },
             Request::UploadCalibration(upload) => self.load(upload).map(|()| self.calibration_response()),
             Request::ReadCalibration => Ok(self.calibration_response()),
         };
         Reaction::Respond(served.unwrap_or_else(Response::Rejected))
     }
 
-    /// Takes a solved trial back.
+    /// Takes a trial back that was solved or asked for its coverage.
     pub fn finish_solving(&mut self, job: SolveJob<Store, GAGES, HIGHER>) {
         self.trial.finish(job);
     }

@@ -8,11 +8,14 @@
 use core::ops::DerefMut;
 
 use ftcal_shared::estimation::bins::Bins;
+use ftcal_shared::estimation::coverage;
 use ftcal_shared::estimation::gate::Verdict;
 use ftcal_shared::estimation::shape::TrialSolution;
 use ftcal_shared::refusal::Refusal;
 use ftcal_shared::units::{AdcCode, SampleIndex};
-use ftcal_shared::wire::{GageList, Rejection, Solution, TrialPhase, TrialStatus};
+use ftcal_shared::wire::{
+    Coverage, GageList, GageTarget, Rejection, Response, Solution, TrialPhase, TrialStatus,
+};
 
 /// The trial of the sensor.
 #[derive(Debug)]
@@ -32,14 +35,22 @@ pub struct Trial<Store, const GAGES: usize, const HIGHER: usize> {
     first: SampleIndex,
 }
 
-/// A stopped trial on its way to a solution.
+/// A trial's sums on their way to an answer.
 #[derive(Debug)]
 pub struct SolveJob<Store, const GAGES: usize, const HIGHER: usize> {
     store: Store,
+    wanted: Wanted,
     rank: u8,
     taken: u32,
     saturated: u32,
     moving: u32,
+}
+
+/// What is to be computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Wanted {
+    Solution,
+    Coverage,
 }
 
 impl<Store, const GAGES: usize, const HIGHER: usize> Trial<Store, GAGES, HIGHER>
@@ -159,22 +170,36 @@ where
             TrialPhase::Stopped => {
                 let store = self.store.take().ok_or(Rejection::TrialBusy)?;
                 self.phase = TrialPhase::Solving;
-                Ok(SolveJob {
-                    store,
-                    rank: self.rank,
-                    taken: self.taken,
-                    saturated: self.saturated,
-                    moving: 0,
-                })
+                Ok(self.job(store, Wanted::Solution))
             }
         }
     }
 
-    /// Takes back what [`Trial::take_for_solving`] handed out; the trial may be solved again.
+    /// Hands the trial out, running or stopped, to be asked where it stands.
+    ///
+    /// # Errors
+    ///
+    /// [`Rejection::NoTrial`]; [`Rejection::TrialBusy`] while it is out already.
+    pub fn take_for_coverage(&mut self) -> Result<SolveJob<Store, GAGES, HIGHER>, Rejection> {
+        if self.phase == TrialPhase::None {
+            return Err(Rejection::NoTrial);
+        }
+        let store = self.store.take().ok_or(Rejection::TrialBusy)?;
+        Ok(self.job(store, Wanted::Coverage))
+    }
+
+    const fn job(&self, store: Store, wanted: Wanted) -> SolveJob<Store, GAGES, HIGHER> {
+        SolveJob { store, wanted, rank: self.rank, taken: self.taken, saturated: self.saturated, moving: 0 }
+    }
+
+    /// Takes back what [`Trial::take_for_solving`] or [`Trial::take_for_coverage`] handed out: a trial that was to be
+    /// solved may be solved again, one that was asked where it stands goes on as it was.
     pub fn finish(&mut self, job: SolveJob<Store, GAGES, HIGHER>) {
         self.store = Some(job.store);
-        self.moving = job.moving;
-        self.phase = TrialPhase::Stopped;
+        if job.wanted == Wanted::Solution {
+            self.moving = job.moving;
+            self.phase = TrialPhase::Stopped;
+        }
     }
 }
 
@@ -182,6 +207,22 @@ impl<Store, const GAGES: usize, const HIGHER: usize> SolveJob<Store, GAGES, HIGH
 where
     Store: DerefMut<Target = Bins<GAGES, HIGHER>>,
 {
+    /// Computes what is wanted. Takes millions of instructions: not for the sample path.
+    pub fn response(&mut self) -> Response {
+        match self.wanted {
+            Wanted::Solution => self.solve().map_or_else(Response::Refused, Response::Solution),
+            Wanted::Coverage => self.coverage().map_or_else(Response::Refused, Response::Coverage),
+        }
+    }
+
+    fn coverage(&mut self) -> Result<Coverage, Refusal> {
+        self.store.settle();
+        match self.rank {
+            2 => self.store.coverage::<2>().map(|covered| coverage_on_the_wire(&covered)),
+            _ => self.store.coverage::<3>().map(|covered| coverage_on_the_wire(&covered)),
+        }
+    }
+
     /// Solves the trial. Takes millions of instructions: not for the sample path.
     ///
     /// # Errors
@@ -224,4 +265,19 @@ fn on_the_wire<const GAGES: usize, const RANK: usize>(
         noise_counts: solved.noise_variance.map(libm::sqrt),
         samples: u32::try_from(solved.samples).unwrap_or(u32::MAX),
     })
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "a report of seven digits")]
+fn coverage_on_the_wire<const RANK: usize>(covered: &coverage::Coverage<RANK>) -> Coverage {
+    let target = |target: &coverage::GageTarget| GageTarget {
+        gage: target.gage,
+        counts: target.counts as f32,
+        position: target.position as f32,
+    };
+    Coverage {
+        samples: u32::try_from(covered.samples).unwrap_or(u32::MAX),
+        fraction: covered.fraction as f32,
+        worst_relative_uncertainty: covered.worst_relative_uncertainty as f32,
+        targets: covered.targets.iter().map(target).collect(),
+    }
 }

@@ -10,6 +10,7 @@
 //! |---|---|
 //! | [`trial`] | shape and bias of one trial, by the shared estimator |
 //! | [`covariance`] | how certain that is |
+//! | [`coverage`] | what a trial has covered, and which way to turn it next |
 //! | [`motion`] | the recovered motion |
 //! | [`known_load`] | rests at known loads; arms as squashing matrices |
 //! | [`alignment`] | orientation from known loads |
@@ -19,6 +20,10 @@
 //! | [`consistency`] | there: what trials allow each other |
 //! | [`handedness`] | there, and for force sensors: rotation or mirror image, proven or refused |
 //! | [`fusion`] | true shape from oriented trials at several arms |
+//! | [`procrustes`] | the turn from one shape onto another |
+//! | [`mod@reference`] | orientation from a stored calibration |
+//! | [`linearity`] | whether the sensor is linear, at one load and from one to another |
+//! | [`verification`] | the check of a calibration in the field |
 //! | [`matrix`] | calibration matrix of a shape |
 //! | [`singular`] | the decomposition that several of these rest on |
 //! | [`least_squares`] | the paper's reference: known loads alone (eq. 3) |
@@ -32,20 +37,25 @@
 pub mod alignment;
 pub mod consistency;
 pub mod covariance;
+pub mod coverage;
 pub mod evidence;
 pub mod fusion;
 pub mod handedness;
 pub mod joint;
 pub mod known_load;
 pub mod least_squares;
+pub mod linearity;
 pub mod matrix;
 pub mod motion;
+pub mod procrustes;
+pub mod reference;
 pub mod refusal;
 pub mod singular;
 pub mod staged;
 pub mod trial;
 pub mod turning;
 pub mod upload;
+pub mod verification;
 
 #[cfg(test)]
 mod end_to_end;
@@ -58,7 +68,9 @@ use serde::{Deserialize, Serialize};
 
 use self::joint::uncertainty::{Uncertainty, propagate};
 use self::known_load::LoadCase;
+use self::linearity::CheckRecord;
 use self::matrix::matrix_of_shape;
+use self::reference::Drift;
 use self::singular::Singular;
 use self::trial::{SampleCounts, TrialShape};
 use self::turning::Turned;
@@ -113,6 +125,10 @@ pub struct Calibration {
     pub uncertainty: Option<Uncertainty>,
     /// The trials.
     pub trials: Vec<TrialRecord>,
+    /// How the calibration fits trials at other loads, which it was not made from.
+    pub checks: Vec<CheckRecord>,
+    /// How far the sensor has moved since the calibration that oriented this one, if one did.
+    pub drift: Option<Drift>,
 }
 
 /// How a calibration is found.
@@ -157,6 +173,8 @@ pub enum HandednessEvidence {
     Turning,
     /// That it fits together with the other trials in this way only.
     Fusion,
+    /// The stored calibration of the same sensor.
+    Reference,
 }
 
 /// What a calibration file keeps of one trial.
@@ -228,6 +246,8 @@ pub fn calibrate(dof: Dof, gravity: f64, trials: &[SolvedTrial]) -> Result<Calib
         fusion_residual: solved.residual(),
         uncertainty: propagated.map(|propagated| propagated.uncertainty),
         trials: records.collect(),
+        checks: Vec::new(),
+        drift: None,
     }
     .finite()
 }

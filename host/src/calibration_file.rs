@@ -18,6 +18,8 @@ use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
 use crate::calibration::joint::uncertainty::Uncertainty;
+use crate::calibration::linearity::CheckRecord;
+use crate::calibration::reference::Drift;
 use crate::calibration::{BiasOrigin, Calibration, Handedness, Method, TrialRecord};
 use crate::recording::{MIN_GAGES, shown};
 
@@ -110,6 +112,10 @@ struct File {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     uncertainty: Option<UncertaintyRecord>,
     trials: Vec<TrialRecord>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    checks: Vec<CheckRecord>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    drift: Option<Drift>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     checksum: Option<String>,
 }
@@ -153,6 +159,8 @@ pub fn write(calibration: &Calibration, mut out: impl Write) -> io::Result<()> {
             per_axis_full_load: uncertainty.per_axis_full_load.iter().copied().collect(),
         }),
         trials: calibration.trials.clone(),
+        checks: calibration.checks.clone(),
+        drift: calibration.drift.clone(),
         checksum: None,
     };
     let checksum = Some(file.checksum().map_err(io::Error::from)?);
@@ -268,6 +276,8 @@ impl File {
             fusion_residual: self.fusion_residual,
             uncertainty,
             trials: self.trials,
+            checks: self.checks,
+            drift: self.drift,
         })
     }
 }
@@ -303,7 +313,9 @@ mod tests {
 
     use super::{CalibrationFileError, parse, write};
     use crate::calibration::joint::uncertainty::Uncertainty;
+    use crate::calibration::linearity::CheckRecord;
     use crate::calibration::matrix::matrix_of_shape;
+    use crate::calibration::reference::Drift;
     use crate::calibration::trial::{Rejection, SampleCounts};
     use crate::calibration::{
         BiasOrigin, Calibration, Handedness, HandednessEvidence, Method, SolutionRecord, TrialRecord,
@@ -341,6 +353,18 @@ mod tests {
                     handedness: HandednessEvidence::Fusion,
                 }),
             }],
+            checks: vec![CheckRecord {
+                recording: "heavier.csv".to_owned(),
+                mass_kg: 2.0,
+                arm_m: Vec::new(),
+                scale: 1.0 + number(),
+                residual: number().abs(),
+            }],
+            drift: Some(Drift {
+                gage_percent: vec![number().abs(); gages],
+                axis_percent: vec![number().abs(); dof.count()],
+                components_seen: dof.count() as u64,
+            }),
         }
     }
 

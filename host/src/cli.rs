@@ -17,7 +17,7 @@ use clap::{Parser, Subcommand};
 use crate::commands::sim;
 use crate::commands::{
     Failure, Streams, apply, calibrate, demo, eval, flash, info, ports, print_refusal, record, solve, stream,
-    trial, upload,
+    trial, upload, verify,
 };
 
 /// Input that cannot be used.
@@ -49,6 +49,8 @@ pub enum Command {
     Apply(apply::Arguments),
     /// Evaluate a calibration.
     Eval(eval::Arguments),
+    /// Check a calibration in the field.
+    Verify(verify::Arguments),
     /// List the serial ports.
     Ports(ports::Arguments),
     /// Tell who the sensor is and how it is.
@@ -80,6 +82,7 @@ impl Command {
             Self::Calibrate(arguments) => calibrate::run(arguments, streams),
             Self::Apply(arguments) => apply::run(arguments, streams),
             Self::Eval(arguments) => eval::run(arguments, streams),
+            Self::Verify(arguments) => verify::run(arguments, streams),
             Self::Ports(arguments) => ports::run(arguments, streams),
             Self::Info(arguments) => info::run(arguments, streams),
             Self::Record(arguments) => record::run(arguments, streams),
@@ -98,6 +101,7 @@ impl Command {
             Self::Solve(solve::Arguments { json, .. })
             | Self::Calibrate(calibrate::Arguments { json, .. })
             | Self::Eval(eval::Arguments { json, .. })
+            | Self::Verify(verify::Arguments { json, .. })
             | Self::Info(info::Arguments { json, .. }) => *json,
             Self::Trial(arguments) => arguments.json(),
             _ => false,

@@ -20,6 +20,7 @@ pub mod solve;
 pub mod stream;
 pub mod trial;
 pub mod upload;
+pub mod verify;
 
 #[cfg(all(unix, test))]
 mod device_tests;

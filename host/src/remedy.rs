@@ -33,6 +33,11 @@ pub fn estimation(refusal: &Refusal) -> Explained {
             format!("{have} usable samples, at least {need} are needed"),
             "Record longer, turning the load through all directions.",
         ),
+        Refusal::RankNotReached { have: 2, need: 3 } => Explained::new(
+            "planar-motion",
+            "the codes vary in two independent directions: the load was turned in one plane, or the sensor is planar",
+            "Turn the load out of the plane, too: through every direction of space; for a planar sensor ask for rank 2.",
+        ),
         Refusal::RankNotReached { have, need } => Explained::new(
             "rank-not-reached",
             format!("the codes vary in {have} independent directions, {need} are needed"),
@@ -294,8 +299,59 @@ pub fn calibration(refusal: &CalibrationRefusal) -> Explained {
             "the gages hardly respond to some combination of forces and torques",
             "Check `dof`, the wiring of every gage, and that the arms differ in all directions.",
         ),
+        CalibrationRefusal::NotLinear { trial, redundant_counts, rest_counts, signal_counts } => {
+            Explained::new(
+                "not-linear",
+                format!(
+                    "trial {}: the gages move by {redundant_counts:.1} counts in a direction that no load should move them in \
+                 ({:.2} % of the signal, {:.0} times the noise at rest): the sensor is not linear at this load",
+                    trial + 1,
+                    100.0 * redundant_counts / signal_counts,
+                    redundant_counts / rest_counts
+                ),
+                "Use a smaller mass, and check that nothing touches the sensor or comes loose as it turns; to calibrate all the \
+             same, add `--allow-nonlinear`.",
+            )
+        }
+        CalibrationRefusal::ReferenceDiffers { trial, drift, other_hand, need } => Explained::new(
+            "reference-differs",
+            format!(
+                "trial {}: turned any way, it differs from the stored calibration by {:.1} % (its mirror image by \
+                 {:.1} %); up to {:.0} % can be told from a turn",
+                trial + 1,
+                100.0 * drift,
+                100.0 * other_hand,
+                100.0 * need
+            ),
+            "Check that it is the same sensor at the same gain, and the trial's mass and arm; otherwise calibrate anew, with \
+             known loads.",
+        ),
         CalibrationRefusal::NonFinite => estimation(&Refusal::NonFinite),
     }
+}
+
+/// Explains why a calibration fails its field check.
+pub fn verification_failed(mean_n: f64, expected_n: f64, deviation_n: f64) -> Explained {
+    Explained::new(
+        "verification-failed",
+        format!(
+            "the sensor measures {mean_n:.4} N where {expected_n:.4} N hang on it: {:.1} times the predicted standard \
+             deviation",
+            (mean_n - expected_n).abs() / deviation_n
+        ),
+        "Check the mass (all that hangs on the sensor) and that it hung at rest; if they are right, calibrate anew.",
+    )
+}
+
+/// Explains which gage fails the field check.
+pub fn gage_suspect(gage: usize, deviations: f64) -> Explained {
+    Explained::new(
+        "gage-suspect",
+        format!(
+            "the gages contradict each other; ch{gage} is farthest off, by {deviations:.1} standard deviations"
+        ),
+        "Check the wiring of that gage; if it is sound, or the temperature has changed, calibrate anew.",
+    )
 }
 
 /// "trial 1", "trials 1, 2, 3": counted from one.
@@ -310,7 +366,7 @@ mod tests {
 
     use ftcal_shared::refusal::Refusal;
 
-    use super::{Explained, calibration, estimation};
+    use super::{Explained, calibration, estimation, gage_suspect, verification_failed};
     use crate::calibration::CalibrationRefusal;
     use crate::calibration::turning::Swept;
 
@@ -318,6 +374,7 @@ mod tests {
         vec![
             Refusal::TooFewSamples { have: 3, need: 18 },
             Refusal::RankNotReached { have: 2, need: 3 },
+            Refusal::RankNotReached { have: 1, need: 3 },
             Refusal::NoEigenvalueGap { ratio: 1.5, need: 10.0 },
             Refusal::MotionDoesNotSpan { relative_uncertainty: 0.3, need: 0.1 },
             Refusal::MetricNotPositiveDefinite,
@@ -354,6 +411,13 @@ mod tests {
             CalibrationRefusal::TooFewKnownLoads { have: 5, need: 6 },
             CalibrationRefusal::KnownLoadsDoNotSpan { have: 5, need: 6 },
             CalibrationRefusal::KnownLoadsNotLinear { residual: 0.5, need: 0.2 },
+            CalibrationRefusal::NotLinear {
+                trial,
+                redundant_counts: 100.0,
+                rest_counts: 1.0,
+                signal_counts: 1e4,
+            },
+            CalibrationRefusal::ReferenceDiffers { trial, drift: 0.4, other_hand: 1.5, need: 0.1 },
         ]
     }
 
@@ -363,6 +427,7 @@ mod tests {
             .iter()
             .map(estimation)
             .chain(calibration_refusals().iter().map(calibration))
+            .chain([verification_failed(9.0, 10.0, 0.1), gage_suspect(3, 20.0)])
             .collect();
         let causes: BTreeSet<&str> = explained.iter().map(|explained| explained.cause).collect();
         assert_eq!(causes.len(), explained.len());

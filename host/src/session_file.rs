@@ -11,6 +11,7 @@
 //! arm_accuracy_m = 0.0002         # one standard deviation of each component; this is the default
 //! mass_accuracy_kg = 0.0012       # one standard deviation; 0.1 % of the mass where nothing is said
 //! turning = "counterclockwise"    # planar sensors only, optional: how the force turned in the sensor frame
+//! role = "fit"                    # the default; "check" for a trial at another mass that is compared, never fitted
 //!
 //! [[trial.known_load]]
 //! window_s = [3.0, 5.0]           # a rest within the trial, or recording = "rest.csv"
@@ -65,8 +66,21 @@ pub struct SessionTrial {
     pub turning: Option<Turning>,
     /// The loads whose direction is known.
     pub known_loads: Vec<SessionKnownLoad>,
+    /// What the trial is for.
+    pub role: Role,
     /// Where the trial's recording is named.
     pub place: Place,
+}
+
+/// What a trial is for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Role {
+    /// The calibration is made from it.
+    #[default]
+    Fit,
+    /// The calibration is compared with it: another mass shows whether the sensor is linear.
+    Check,
 }
 
 /// One rest at a known load.
@@ -198,7 +212,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    use super::{Rest, Session, SessionError, Turning};
+    use super::{Rest, Role, Session, SessionError, Turning};
     use crate::place::Place;
 
     const WRIST: &str = r#"dof = "spatial-force-torque"
@@ -293,6 +307,19 @@ accuracy_deg = 0.2
             assert!(text.contains(good));
             assert_eq!(place_of_error(&text.replacen(good, bad, 1)), Place { line, column }, "{bad}");
         }
+    }
+
+    #[test]
+    fn a_check_is_a_trial_with_no_known_load_beside_one_that_is_fitted() {
+        let check = "[[trial]]\nrecording = \"b.csv\"\nmass_kg = 4\narm_m = [0, 0, 0.1]\nrole = \"check\"\n";
+        let session = parse(&format!("{WRIST}{check}")).expect("a session");
+        assert_eq!(
+            session.trials.iter().map(|trial| trial.role).collect::<Vec<_>>(),
+            [Role::Fit, Role::Check]
+        );
+        place_of_error(&format!("dof = \"spatial-force-torque\"\n{check}"));
+        place_of_error(&WRIST.replace("mass_kg = 2", "mass_kg = 2\nrole = \"check\""));
+        place_of_error(&WRIST.replace("mass_kg = 2", "mass_kg = 2\nrole = \"other\""));
     }
 
     #[test]

@@ -9,9 +9,9 @@ use ftcal_shared::refusal::Refusal;
 use ftcal_shared::units::{AdcCode, DataRate, DeviceTime, Dof, Gain, SampleIndex};
 use ftcal_shared::wire::frame::{Decoder, FrameError, encode};
 use ftcal_shared::wire::{
-    AdcState, CalibrationUpload, ClockSource, CodesFrame, GageList, Hello, InvalidCause, Measurement,
-    PROTOCOL_VERSION, Rejection, Request, Response, Solution, Status, StreamKind, ToDevice, ToHost,
-    TrialPhase, TrialStatus, WrenchFrame,
+    AdcState, CalibrationUpload, ClockSource, CodesFrame, Coverage, GageList, GageTarget, Hello,
+    InvalidCause, Measurement, PROTOCOL_VERSION, Rejection, Request, Response, Solution, Status, StreamKind,
+    ToDevice, ToHost, TrialPhase, TrialStatus, WrenchFrame,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -70,6 +70,7 @@ fn requests() {
     upload.extend_from_slice(&CALIBRATION_BYTES);
     assert_request(Request::UploadCalibration(calibration()), &upload);
     assert_request(Request::ReadCalibration, &[8]);
+    assert_request(Request::Coverage, &[9]);
 }
 
 /// Numbers chosen for their bytes, not for a sensor.
@@ -161,6 +162,24 @@ fn responses() {
     let mut golden = vec![4, 1];
     golden.extend_from_slice(&CALIBRATION_BYTES);
     assert_response(Response::Calibration(Some(calibration())), &golden);
+}
+
+#[test]
+fn coverage() {
+    let coverage = Coverage {
+        samples: 300,
+        fraction: 0.5,
+        worst_relative_uncertainty: f32::INFINITY,
+        targets: [GageTarget { gage: 7, counts: -1.0, position: -0.5 }].into_iter().collect(),
+    };
+    #[rustfmt::skip]
+    assert_response(Response::Coverage(coverage), &[
+        7,
+        0xAC, 0x02,
+        0, 0, 0, 0x3F,
+        0, 0, 0x80, 0x7F,
+        1, 7, 0, 0, 0x80, 0xBF, 0, 0, 0, 0xBF,
+    ]);
 }
 
 #[test]

@@ -6,7 +6,7 @@
 //! arbitrary.
 
 use ftcal_shared::estimation::uncertainty::TrialUncertainty;
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 
 /// Covariances of one trial's shape and bias.
 #[derive(Clone, Debug, PartialEq)]
@@ -55,11 +55,29 @@ impl TrialCovariance {
 
     /// Covariance of the bias (p × p), counts², of a trial of this shape (r × p, counts per unit load).
     pub fn bias(&self, shape: &DMatrix<f64>) -> DMatrix<f64> {
-        let (rank, gains, gages) = (self.rank(), self.gain_count(), shape.ncols());
+        let (rank, gains) = (self.rank(), self.gain_count());
         let along = shape.transpose() * self.along.view((gains, gains), (rank, rank)) * shape;
-        let spanned = super::matrix::matrix_of_shape(shape)
-            .map_or_else(|_| DMatrix::zeros(gages, gages), |matrix| shape.transpose() * matrix);
-        along + (DMatrix::identity(gages, gages) - spanned) * self.across[(rank, rank)]
+        along + across_codes(shape) * self.across[(rank, rank)]
+    }
+
+    /// Standard deviations of the elements of the trial's shape (r × p, counts per unit load, rows orthogonal), up to its
+    /// orientation.
+    ///
+    /// The orientation closest to the truth makes δS Sᵀ symmetric, so that element (a, b) of E/2 counts 2gₐ/(gₐ + g_b) times,
+    /// with the squared lengths g of the rows.
+    pub fn shape(&self, shape: &DMatrix<f64>) -> DMatrix<f64> {
+        let rank = self.rank();
+        let squares: Vec<f64> = shape.row_iter().map(|row| row.norm_squared()).collect();
+        let across = across_codes(shape);
+        DMatrix::from_fn(rank, shape.ncols(), |row, gage| {
+            let mut gradient = DVector::zeros(self.gain_count());
+            for other in 0..rank {
+                let turned = 2.0 * squares[row] / (squares[row] + squares[other]);
+                gradient[gain_position(rank, row, other)] = turned * shape[(other, gage)];
+            }
+            let along = gradient.dot(&(self.gains() * &gradient));
+            (along + self.across[(row, row)] * across[(gage, gage)]).max(0.0).sqrt()
+        })
     }
 
     fn rank(&self) -> usize {
@@ -71,6 +89,20 @@ impl TrialCovariance {
     }
 }
 
+/// The projection (p × p) onto the directions of the codes across a shape.
+fn across_codes(shape: &DMatrix<f64>) -> DMatrix<f64> {
+    let gages = shape.ncols();
+    let spanned = super::matrix::matrix_of_shape(shape)
+        .map_or_else(|_| DMatrix::zeros(gages, gages), |matrix| shape.transpose() * matrix);
+    DMatrix::identity(gages, gages) - spanned
+}
+
+/// Where the element (row, column) of E/2 stands among those with row ≤ column, row by row.
+const fn gain_position(rank: usize, row: usize, column: usize) -> usize {
+    let (low, high) = if row <= column { (row, column) } else { (column, row) };
+    low * rank - low * (low + 1) / 2 + high
+}
+
 fn largest_deviation(covariance: &DMatrix<f64>, range: std::ops::Range<usize>) -> f64 {
     range.map(|unknown| covariance[(unknown, unknown)]).fold(0.0, f64::max).sqrt()
 }
@@ -80,6 +112,7 @@ mod tests {
     use ftcal_shared::units::Dof;
     use nalgebra::DMatrix;
 
+    use crate::calibration::procrustes::onto;
     use crate::calibration::synthetic::{Sensor, sphere};
     use crate::calibration::trial::{Gating, solve};
     use crate::session_file::STANDARD_GRAVITY;
@@ -92,6 +125,7 @@ mod tests {
         let (repetitions, mut predicted, mut observed) = (40, 0.0, 0.0);
         let mut bias = DMatrix::zeros(6, 6);
         let mut bias_observed = 0.0;
+        let (mut shape_predicted, mut shape_observed) = (0.0, 0.0);
         for _ in 0..repetitions {
             let recording = sensor.record(1.0, &[], &sphere(400));
             let trial = solve(&recording, 3, Gating::On).expect("the motion spans");
@@ -100,6 +134,10 @@ mod tests {
             let shape = &trial.shape_counts_per_load / STANDARD_GRAVITY;
             let error = (shape.transpose() * &shape - &truth).norm() / truth.norm() / 2.0;
             observed += error.powi(2) / f64::from(repetitions);
+            let turned = onto(&shape, &sensor.shape).turned;
+            shape_observed += (turned - &sensor.shape).norm_squared() / f64::from(repetitions);
+            let deviation = trial.covariance.shape(&trial.shape_counts_per_load) / STANDARD_GRAVITY;
+            shape_predicted += deviation.norm_squared() / f64::from(repetitions);
             bias += trial.covariance.bias(&trial.shape_counts_per_load) / f64::from(repetitions);
             bias_observed +=
                 (&trial.bias_counts - &sensor.bias_counts).norm_squared() / f64::from(repetitions);
@@ -109,6 +147,8 @@ mod tests {
         assert!((0.4..2.5).contains(&ratio), "{ratio}");
         // Six components, forty repetitions: the root mean square is known to about 1/√(2·6·40) = 5 %, three times that.
         let ratio = (bias.trace() / bias_observed).sqrt();
+        assert!((0.85..1.15).contains(&ratio), "{ratio}");
+        let ratio = (shape_predicted / shape_observed).sqrt();
         assert!((0.85..1.15).contains(&ratio), "{ratio}");
     }
 }

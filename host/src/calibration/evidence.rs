@@ -5,13 +5,14 @@ use std::path::Path;
 use nalgebra::DVector;
 
 use super::known_load::{KnownLoad, LoadCase, average};
+use super::linearity::{self, Linearity};
 use super::motion;
 use super::trial::Gating;
 use super::turning::{Turned, swept};
-use super::{Calibration, CalibrationRefusal, Method, SolvedTrial, least_squares, staged, trial};
+use super::{Calibration, CalibrationRefusal, Method, SolvedTrial, least_squares, reference, staged, trial};
 use crate::place::Place;
 use crate::recording::{Recording, RecordingError, WindowError, shown};
-use crate::session_file::{Rest, Session, SessionError, SessionTrial};
+use crate::session_file::{Rest, Role, Session, SessionError, SessionTrial};
 
 /// Why a session gives no calibration.
 #[derive(Debug)]
@@ -84,44 +85,99 @@ impl From<CalibrationRefusal> for CalibrationFailure {
 pub fn calibrate(
     session: &Session,
     method: Method,
-    gating: Gating,
+    approach: Approach,
 ) -> Result<Calibration, CalibrationFailure> {
-    let mut reader = Reader { session, gating, gages: None };
-    match method {
-        Method::Sfm | Method::SfmPaper => {
-            let mut trials = Vec::with_capacity(session.trials.len());
-            for (index, trial) in session.trials.iter().enumerate() {
-                trials.push(reader.solved(index, trial)?);
-            }
-            let (dof, gravity) = (session.dof, session.gravity);
-            Ok(match method {
-                Method::SfmPaper => staged::calibrate(dof, gravity, &trials)?,
-                _ => super::calibrate(dof, gravity, &trials)?,
-            })
-        }
+    let mut reader = Reader { session, approach, gages: None };
+    let (dof, gravity) = (session.dof, session.gravity);
+    let calibration = match method {
+        Method::Sfm => super::calibrate(dof, gravity, &reader.fitted()?),
+        Method::SfmPaper => staged::calibrate(dof, gravity, &reader.fitted()?),
         Method::LeastSquares => {
             let mut cases = Vec::with_capacity(session.trials.len());
             let mut biases = Vec::new();
-            for (index, trial) in session.trials.iter().enumerate() {
+            for (index, trial) in
+                session.trials.iter().enumerate().filter(|(_, trial)| trial.role == Role::Fit)
+            {
                 let mut opened = None;
                 cases.push(reader.case(index, trial, &mut opened)?);
                 biases.extend(reader.bias_of_motion(trial, opened)?);
             }
             let trials = biases.len() as f64;
             let bias = (!biases.is_empty()).then(|| biases.iter().sum::<DVector<f64>>() / trials);
-            Ok(least_squares::calibrate(session.dof, session.gravity, &cases, bias.as_ref())?)
+            least_squares::calibrate(dof, gravity, &cases, bias.as_ref())
         }
-    }
+    };
+    reader.checked(calibration)
+}
+
+/// Calibrates a sensor from a session and the calibration that it has: no known load is needed, and none is used.
+///
+/// # Errors
+///
+/// [`CalibrationFailure`]: unreadable evidence, or a refusal.
+pub fn recalibrate(
+    session: &Session,
+    stored: &Calibration,
+    approach: Approach,
+) -> Result<Calibration, CalibrationFailure> {
+    let mut reader = Reader { session, approach, gages: None };
+    let calibration = reference::recalibrate(stored, session.gravity, &reader.fitted()?);
+    reader.checked(calibration)
+}
+
+/// How the trials of a session are taken.
+#[derive(Clone, Copy, Debug)]
+pub struct Approach {
+    /// Whether restless samples may be left out.
+    pub gating: Gating,
+    /// Whether a sensor that is not linear is refused.
+    pub linearity: Linearity,
 }
 
 /// Opens recordings and sees to it that all have the same number of gages.
 struct Reader<'a> {
     session: &'a Session,
-    gating: Gating,
+    approach: Approach,
     gages: Option<usize>,
 }
 
 impl Reader<'_> {
+    /// The trials that the calibration is made from, solved.
+    fn fitted(&mut self) -> Result<Vec<SolvedTrial>, CalibrationFailure> {
+        let trials = self.solved_trials(Role::Fit)?;
+        if self.approach.linearity == Linearity::Required {
+            for (number, trial) in trials.iter().enumerate() {
+                linearity::require_linear(number, trial).map_err(|refusal| self.refused(refusal))?;
+            }
+        }
+        Ok(trials)
+    }
+
+    fn solved_trials(&mut self, role: Role) -> Result<Vec<SolvedTrial>, CalibrationFailure> {
+        let session = self.session;
+        let trials = session.trials.iter().enumerate().filter(|(_, trial)| trial.role == role);
+        trials.map(|(index, trial)| self.solved(index, trial)).collect()
+    }
+
+    /// The calibration, compared with the trials that are there for it.
+    fn checked(
+        &mut self,
+        calibration: Result<Calibration, CalibrationRefusal>,
+    ) -> Result<Calibration, CalibrationFailure> {
+        let mut calibration = calibration.map_err(|refusal| self.refused(refusal))?;
+        let checks = self.solved_trials(Role::Check)?;
+        calibration.checks = checks.iter().map(|trial| linearity::check(&calibration, trial)).collect();
+        Ok(calibration)
+    }
+
+    /// A refusal counts the trials that are fitted; the user counts those of the session.
+    fn refused(&self, refusal: CalibrationRefusal) -> CalibrationFailure {
+        let trials = self.session.trials.iter().enumerate();
+        let fitted: Vec<usize> =
+            trials.filter(|(_, trial)| trial.role == Role::Fit).map(|(index, _)| index).collect();
+        CalibrationFailure::Refused(refusal.renumbered(|trial| fitted.get(trial).copied().unwrap_or(trial)))
+    }
+
     fn open(&mut self, path: &Path, place: Place) -> Result<Recording, EvidenceError> {
         let session = || shown(&self.session.file);
         let recording = Recording::read(path).map_err(|error| EvidenceError::Recording {
@@ -141,7 +197,8 @@ impl Reader<'_> {
         let mut opened = None;
         let recording = opened.insert(self.open(&trial.recording, trial.place)?);
         let refused = |refusal| CalibrationRefusal::Trial { trial: index, refusal };
-        let shape = trial::solve(recording, self.session.dof.trial_rank(), self.gating).map_err(refused)?;
+        let shape =
+            trial::solve(recording, self.session.dof.trial_rank(), self.approach.gating).map_err(refused)?;
         let turned = match trial.turning {
             Some(claimed) => {
                 let motion = motion::recover(recording, &shape).map_err(refused)?;
@@ -163,7 +220,7 @@ impl Reader<'_> {
             Some(recording) => recording,
             None => self.open(&trial.recording, trial.place)?,
         };
-        Ok(trial::solve(&recording, self.session.dof.trial_rank(), self.gating)
+        Ok(trial::solve(&recording, self.session.dof.trial_rank(), self.approach.gating)
             .ok()
             .map(|solved| solved.bias_counts))
     }

@@ -42,6 +42,9 @@ pub struct RestCounts {
     pub mean: DVector<f64>,
     /// Mean of the second half less the mean of the first (p), counts.
     pub drift: DVector<f64>,
+    /// Variance of the noise of one channel, from the differences of successive samples, so that a drift does not count;
+    /// counts².
+    pub noise_variance: f64,
     /// Samples that took part.
     pub samples: u64,
 }
@@ -57,7 +60,14 @@ pub fn average(rest: &Recording) -> Option<RestCounts> {
         (Some(first), Some(second)) => second - first,
         _ => DVector::zeros(rest.gages()),
     };
-    Some(RestCounts { mean: mean(&samples)?, drift, samples: samples.len() as u64 })
+    // Two samples differ by twice the variance of one.
+    let steps = samples.windows(2).filter_map(|pair| match pair {
+        [before, after] => Some((after - before).norm_squared()),
+        _ => None,
+    });
+    let differences = 2 * samples.len().saturating_sub(1).max(1) * rest.gages().max(1);
+    let noise_variance = steps.sum::<f64>() / differences as f64;
+    Some(RestCounts { mean: mean(&samples)?, drift, noise_variance, samples: samples.len() as u64 })
 }
 
 /// The squashing matrix [I Xᵀ] (r × m) of a load at this arm: force to wrench, as rows (eq. 14, 16, 19).
@@ -105,6 +115,8 @@ mod tests {
         assert_eq!(rest.samples, 3);
         assert!((rest.mean[0] - 44.0 / 3.0).abs() < 1e-12);
         assert!((rest.drift[0] - 7.0).abs() < 1e-12);
+        // Steps of 4 and 6 on one of two channels.
+        assert!((rest.noise_variance - 52.0 / 8.0).abs() < 1e-12);
     }
 
     #[test]

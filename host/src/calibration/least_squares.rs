@@ -93,6 +93,8 @@ pub fn calibrate(
         fusion_residual: residual,
         uncertainty: None,
         trials: cases.iter().map(LoadCase::record).collect(),
+        checks: Vec::new(),
+        drift: None,
     }
     .finite()
 }
@@ -185,6 +187,7 @@ mod tests {
                         rest: RestCounts {
                             mean: &sensor.bias_counts + &seen * direction,
                             drift: DVector::zeros(sensor.shape.ncols()),
+                            noise_variance: 0.0,
                             samples: 1,
                         },
                     })

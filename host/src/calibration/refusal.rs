@@ -167,6 +167,67 @@ pub enum CalibrationRefusal {
         /// The largest that is accepted.
         need: f64,
     },
+    /// The sensor is not linear at the load of a trial.
+    NotLinear {
+        /// The trial.
+        trial: usize,
+        /// Standard deviation of the codes in the first direction that no load should move, counts.
+        redundant_counts: f64,
+        /// Noise of one channel at rest, counts.
+        rest_counts: f64,
+        /// The signal of the load, counts.
+        signal_counts: f64,
+    },
+    /// A trial does not look like the stored calibration from any side.
+    ReferenceDiffers {
+        /// The trial.
+        trial: usize,
+        /// The part of the stored shape that the trial's does not match, relative.
+        drift: f64,
+        /// The same for the trial's mirror image.
+        other_hand: f64,
+        /// The largest drift that is told from a turn.
+        need: f64,
+    },
     /// A result is not finite.
     NonFinite,
+}
+
+impl CalibrationRefusal {
+    /// The same refusal with its trials numbered otherwise.
+    #[must_use]
+    pub fn renumbered(mut self, number: impl Fn(usize) -> usize) -> Self {
+        match &mut self {
+            Self::Trial { trial, .. }
+            | Self::NoKnownLoad { trial }
+            | Self::KnownLoadsDoNotOrient { trial, .. }
+            | Self::KnownLoadsContradict { trial, .. }
+            | Self::KnownLoadMagnitude { trial, .. }
+            | Self::KnownLoadNotAtRest { trial, .. }
+            | Self::KnownLoadSaturated { trial, .. }
+            | Self::TurningUnclear { trial, .. }
+            | Self::TurningContradicts { trial }
+            | Self::MassesContradict { trial, .. }
+            | Self::BiasesDisagree { trial, .. }
+            | Self::NotLinear { trial, .. }
+            | Self::ReferenceDiffers { trial, .. } => *trial = number(*trial),
+            Self::HandednessNotSettled { trials, .. } | Self::TooManyUndecided { trials } => {
+                for trial in trials {
+                    *trial = number(*trial);
+                }
+            }
+            Self::TrialsContradict { .. }
+            | Self::TooFewArms { .. }
+            | Self::ArmsEqual { .. }
+            | Self::ArmsCollinear { .. }
+            | Self::FusionUncertain { .. }
+            | Self::TooFewGages { .. }
+            | Self::ShapeRankDeficient
+            | Self::TooFewKnownLoads { .. }
+            | Self::KnownLoadsDoNotSpan { .. }
+            | Self::KnownLoadsNotLinear { .. }
+            | Self::NonFinite => {}
+        }
+        self
+    }
 }

@@ -51,6 +51,8 @@ pub fn calibrate(dof: Dof, gravity: f64, trials: &[SolvedTrial]) -> Result<Calib
         fusion_residual: fused.residual,
         uncertainty: None,
         trials: records.collect(),
+        checks: Vec::new(),
+        drift: None,
     }
     .finite()
 }

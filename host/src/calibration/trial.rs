@@ -20,6 +20,7 @@ use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
 use super::covariance::TrialCovariance;
+use super::coverage::TrialCoverage;
 use crate::recording::Recording;
 
 /// Whether restless samples may be left out.
@@ -96,6 +97,8 @@ pub struct TrialShape {
     pub shape_counts_per_load: DMatrix<f64>,
     /// How certain shape and bias are.
     pub covariance: TrialCovariance,
+    /// What the motion has covered.
+    pub coverage: TrialCoverage,
 }
 
 impl TrialShape {
@@ -107,6 +110,16 @@ impl TrialShape {
     /// The number of gages, p.
     pub fn gages(&self) -> usize {
         self.shape_counts_per_load.ncols()
+    }
+
+    /// Standard deviations of the bias (p), counts.
+    pub fn bias_deviation_counts(&self) -> DVector<f64> {
+        self.covariance.bias(&self.shape_counts_per_load).diagonal().map(|variance| variance.max(0.0).sqrt())
+    }
+
+    /// Standard deviations of the shape (r × p), counts per unit load, up to its orientation.
+    pub fn shape_deviation_counts_per_load(&self) -> DMatrix<f64> {
+        self.covariance.shape(&self.shape_counts_per_load)
     }
 }
 
@@ -208,6 +221,7 @@ fn in_counts<const GAGES: usize, const RANK: usize>(
         bias_counts: bias_codes * step + quantisation.offset_counts(),
         shape_counts_per_load: shape_codes * step,
         covariance: TrialCovariance::new(&solution.uncertainty, step),
+        coverage: TrialCoverage::new(solution, quantisation)?,
     };
     let numbers = shape.eigenvalues.iter().chain(&shape.bias_counts).chain(&shape.shape_counts_per_load);
     if numbers.chain(&shape.noise_counts).all(|number| number.is_finite()) {

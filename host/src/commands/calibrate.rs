@@ -4,10 +4,13 @@ use std::io::{self, Write};
 use std::path::PathBuf;
 
 use clap::Args;
+use ftcal_shared::units::Dof;
 
 use super::output::Output;
 use super::{Failure, Streams};
-use crate::calibration::evidence::{self, CalibrationFailure};
+use crate::calibration::evidence::{self, Approach, CalibrationFailure};
+use crate::calibration::linearity::Linearity;
+use crate::calibration::reference::Drift;
 use crate::calibration::trial::Gating;
 use crate::calibration::{BiasOrigin, Calibration, Method};
 use crate::calibration_file;
@@ -30,9 +33,24 @@ pub struct Arguments {
     /// repeats itself
     #[arg(long, value_enum, default_value = "on")]
     pub gate: Gating,
+    /// The calibration that the sensor has: orients the new one with no known load, and tells how far the sensor has moved
+    #[arg(long, value_name = "OLD", conflicts_with = "method")]
+    pub reference: Option<PathBuf>,
+    /// Calibrate a sensor that is not linear as if it were
+    #[arg(long)]
+    pub allow_nonlinear: bool,
     /// Print the calibration, or the refusal, as JSON
     #[arg(long)]
     pub json: bool,
+}
+
+/// A stored calibration and a session that are not of one sensor.
+#[derive(Debug, thiserror::Error)]
+#[error("{reference}: field `dof`: expected {expected:?} as in the session, found {found:?}")]
+pub struct DofDiffers {
+    reference: String,
+    expected: Dof,
+    found: Dof,
 }
 
 /// Calibrates and writes the calibration file.
@@ -42,11 +60,28 @@ pub struct Arguments {
 /// [`Failure`].
 pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> {
     let session = Session::read(&arguments.session).map_err(Failure::input)?;
-    let calibration =
-        evidence::calibrate(&session, arguments.method, arguments.gate).map_err(|failure| match failure {
-            CalibrationFailure::Input(error) => Failure::input(error),
-            CalibrationFailure::Refused(refusal) => Failure::Refused(remedy::calibration(&refusal)),
-        })?;
+    let approach = Approach {
+        gating: arguments.gate,
+        linearity: if arguments.allow_nonlinear { Linearity::Assumed } else { Linearity::Required },
+    };
+    let outcome = match &arguments.reference {
+        None => evidence::calibrate(&session, arguments.method, approach),
+        Some(path) => {
+            let stored = calibration_file::read(path).map_err(Failure::input)?;
+            if stored.dof != session.dof {
+                return Err(Failure::input(DofDiffers {
+                    reference: shown(path),
+                    expected: session.dof,
+                    found: stored.dof,
+                }));
+            }
+            evidence::recalibrate(&session, &stored, approach)
+        }
+    };
+    let calibration = outcome.map_err(|failure| match failure {
+        CalibrationFailure::Input(error) => Failure::input(error),
+        CalibrationFailure::Refused(refusal) => Failure::Refused(remedy::calibration(&refusal)),
+    })?;
     let mut file = Output::open(Some(&arguments.output), streams.data)?;
     calibration_file::write(&calibration, &mut file)?;
     file.finish()?;
@@ -106,6 +141,35 @@ pub fn summarise(calibration: &Calibration, out: &mut dyn Write) -> io::Result<(
             )?;
         }
         writeln!(out)?;
+    }
+    for check in &calibration.checks {
+        writeln!(
+            out,
+            "check {}: {} kg, response off by {:+.3} %, shape off by {:.3} %",
+            check.recording,
+            check.mass_kg,
+            100.0 * (check.scale - 1.0),
+            100.0 * check.residual
+        )?;
+    }
+    if let Some(drift) = &calibration.drift {
+        summarise_drift(calibration, drift, out)?;
+    }
+    Ok(())
+}
+
+fn summarise_drift(calibration: &Calibration, drift: &Drift, out: &mut dyn Write) -> io::Result<()> {
+    writeln!(
+        out,
+        "moved since the stored calibration ({} of {} components seen):",
+        drift.components_seen,
+        calibration.dof.count()
+    )?;
+    for (gage, percent) in drift.gage_percent.iter().enumerate() {
+        writeln!(out, "ch{gage:<6} {percent:8.3} %")?;
+    }
+    for (axis, percent) in calibration.dof.axes().iter().zip(&drift.axis_percent) {
+        writeln!(out, "{:<8} {percent:8.3} %", super::apply::column_name(*axis))?;
     }
     Ok(())
 }

@@ -74,6 +74,8 @@ fn true_calibration(board: &ServedBoard, path: &Path) -> Calibration {
         fusion_residual: 0.0,
         uncertainty: None,
         trials: Vec::new(),
+        checks: Vec::new(),
+        drift: None,
     };
     let mut file = Vec::new();
     calibration_file::write(&calibration, &mut file).expect("memory takes everything");
@@ -134,6 +136,7 @@ fn a_recording_to_a_file_is_complete_or_not_there() {
 #[test]
 fn a_trial_is_solved_on_the_sensor() {
     let board = ServedBoard::new(ScenarioKind::Fingertip);
+    assert!(ftcal(&board, &["trial", "coverage"]).has_code(3), "there is none");
     let refused = ftcal(&board, &["trial", "solve", "--json"]);
     assert!(refused.has_code(3));
     assert_eq!(refused.json()["refused"]["cause"], "no-trial");
@@ -157,6 +160,15 @@ fn a_trial_is_solved_on_the_sensor() {
         pass(&board, 30);
     }
     assert!(ftcal(&board, &["trial", "status"]).data.starts_with("running, rank 2, "));
+    let covered = ftcal(&board, &["trial", "coverage", "--json"]);
+    assert!(covered.has_code(0), "{}{}", covered.data, covered.words);
+    let covered = covered.json();
+    let (fraction, progress) = (&covered["coverage"]["fraction"], &covered["progress"]);
+    // All around; how long in each direction is up to this machine's clock. Half of the circle would be a half.
+    assert!((0.5..=1.0).contains(&fraction.as_f64().expect("a number")), "{covered}");
+    assert!((0.0..=1.0).contains(&progress.as_f64().expect("a number")), "{covered}");
+    assert!(ftcal(&board, &["trial", "coverage"]).data.contains("turn the load so that ch"));
+    assert!(ftcal(&board, &["trial", "status"]).data.starts_with("running, rank 2, "), "it goes on");
     ftcal(&board, &["trial", "stop"]);
     let solved = ftcal(&board, &["trial", "solve"]);
     assert!(solved.has_code(0), "{}", solved.words);

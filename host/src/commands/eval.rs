@@ -85,7 +85,8 @@ pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> 
     Ok(())
 }
 
-fn positive(text: &str) -> Result<f64, String> {
+/// Reads a positive number of kilograms.
+pub(super) fn positive(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(mass_kg) if mass_kg > 0.0 && mass_kg.is_finite() => Ok(mass_kg),
         _ => Err("expected a positive number of kilograms".to_owned()),

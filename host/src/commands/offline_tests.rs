@@ -221,6 +221,58 @@ fn saturated_samples_get_no_numbers() {
 }
 
 #[test]
+fn a_calibration_is_checked_at_another_mass_verified_in_the_field_and_made_anew_from_itself() {
+    let mut bench = wrist(9);
+    bench.trial("heavier.csv", 4.0, &[0.02, 0.03, 0.1], &[], "role = \"check\"\n");
+    let outcome = bench.calibrate(&["--json"]);
+    assert_eq!(outcome.code, code(0), "{}{}", outcome.data, outcome.words);
+    let printed: Value = serde_json::from_str(&outcome.data).expect("JSON on standard output");
+    assert_eq!(printed["trials"].as_array().map_or(0, Vec::len), 3, "a check is not fitted");
+    let check = &printed["checks"][0];
+    assert_eq!(check["mass_kg"], 4.0);
+    assert!((check["scale"].as_f64().expect("a number") - 1.0).abs() < 5e-3, "{check}");
+    assert!(check["residual"].as_f64().expect("a number") < 5e-3, "{check}");
+
+    let (calibration, load) = (bench.path("calibration.json"), bench.path("load.csv"));
+    let directions: Vec<DVector<f64>> = (0..200).map(|_| bench.sensor.unit()).collect();
+    let recording = bench.sensor.record(1.3, &[0.02, -0.07, 0.1], &directions);
+    bench.save("load.csv", &recording);
+    let verify = |mass: &str, extra: &[&str]| {
+        ftcal(&[&["verify", text(&calibration), text(&load), "--mass-kg", mass], extra].concat())
+    };
+    let passed = verify("1.3", &["--json"]);
+    assert_eq!(passed.code, code(0), "{}{}", passed.data, passed.words);
+    let report: Value = serde_json::from_str(&passed.data).expect("JSON on standard output");
+    assert_eq!(report["magnitude_passed"], true);
+    assert_eq!(report["parity"]["passed"], true);
+    let failed = verify("1.5", &["--json"]);
+    assert_eq!(failed.code, code(3), "{}", failed.data);
+    let report: Value = serde_json::from_str(&failed.data).expect("JSON on standard output");
+    assert_eq!(report["refused"]["cause"], "verification-failed");
+    assert!(verify("1.5", &[]).words.contains("verification-failed"));
+
+    // The same sensor again, with no known load.
+    let stored = bench.path("stored.json");
+    fs::rename(&calibration, &stored).expect("the folder is writable");
+    bench.session = "dof = \"spatial-force-torque\"\n".to_owned();
+    for (name, arm) in
+        [("d.csv", [0.1, 0.0, 0.05]), ("e.csv", [0.0, 0.1, 0.05]), ("f.csv", [-0.05, -0.05, 0.12])]
+    {
+        bench.trial(name, 1.0, &arm, &[], "");
+    }
+    assert_eq!(bench.calibrate(&[]).code, code(3), "nothing orients it");
+    let again = bench.calibrate(&["--reference", text(&stored)]);
+    assert_eq!(again.code, code(0), "{}", again.words);
+    assert!(
+        again.words.contains("moved since the stored calibration (6 of 6 components seen)"),
+        "{}",
+        again.words
+    );
+    let verified = verify("1.3", &[]);
+    assert_eq!(verified.code, code(0), "{}{}", verified.data, verified.words);
+}
+
+#[test]
 fn solve_reports_what_the_contract_lists() {
     let mut bench = Bench::new(Sensor::new(Dof::SpatialForce, 5, 6), "spatial-force");
     bench.trial("turn.csv", 2.0, &[], &three(), "");
@@ -240,6 +292,8 @@ fn solve_reports_what_the_contract_lists() {
         "bias_counts",
         "shape_counts_per_load",
         "magnitude",
+        "uncertainty",
+        "coverage",
     ];
     contract.sort_unstable();
     assert_eq!(fields, contract);
@@ -247,6 +301,15 @@ fn solve_reports_what_the_contract_lists() {
     let noise = report["noise_counts"].as_f64().expect("p > r tells it");
     assert!((noise / bench.sensor.noise_counts - 1.0).abs() < 0.1);
     assert!((report["magnitude"]["mean"].as_f64().expect("a number") - 1.0).abs() < 1e-3);
+    let uncertainty = &report["uncertainty"];
+    assert_eq!(uncertainty["bias_counts"].as_array().map_or(0, Vec::len), 5);
+    assert_eq!(uncertainty["shape_counts_per_load"].as_array().map_or(0, Vec::len), 3);
+    assert_eq!(uncertainty["shape_counts_per_load"][2].as_array().map_or(0, Vec::len), 5);
+    let coverage = &report["coverage"];
+    assert!((0.5..=1.0).contains(&coverage["fraction"].as_f64().expect("a number")), "{coverage}");
+    assert!(coverage["worst_relative_uncertainty"].as_f64().expect("a number") > 0.0, "{coverage}");
+    let words = coverage["weakest_direction"].as_str().expect("words");
+    assert!(words.starts_with("turn the load so that ch") && outcome.words.contains(words), "{words}");
 
     let outcome = ftcal(&["solve", text(&path), "--rank", "2", "--json"]);
     assert_eq!(outcome.code, code(3), "{}", outcome.data);

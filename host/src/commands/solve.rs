@@ -8,6 +8,7 @@ use ftcal_shared::refusal::Refusal;
 use serde::Serialize;
 
 use super::{Failure, Streams, print_json};
+use crate::calibration::coverage::TrialCoverage;
 use crate::calibration::motion::{Magnitude, recover};
 use crate::calibration::trial::{Gating, SampleCounts, TrialShape, solve};
 use crate::calibration_file::rows;
@@ -50,6 +51,40 @@ pub struct Report {
     pub shape_counts_per_load: Vec<Vec<f64>>,
     /// Length of the recovered load over the samples used, per unit load.
     pub magnitude: Magnitude,
+    /// Standard deviations, whatever the orientation.
+    pub uncertainty: Uncertainty,
+    /// What the motion has covered.
+    pub coverage: Coverage,
+}
+
+/// Standard deviations of bias and shape.
+#[derive(Debug, Serialize)]
+pub struct Uncertainty {
+    /// Of b (p), counts.
+    pub bias_counts: Vec<f64>,
+    /// Of S (r rows of p), counts per unit load.
+    pub shape_counts_per_load: Vec<Vec<f64>>,
+}
+
+/// What the motion has covered.
+#[derive(Debug, Serialize)]
+pub struct Coverage {
+    /// The share of all directions that the load has been through, 0 to 1.
+    pub fraction: f64,
+    /// Which way to turn the load to learn most, in words.
+    pub weakest_direction: String,
+    /// The largest standard deviation of a gain, cross-talk or offset, relative to the load.
+    pub worst_relative_uncertainty: f64,
+}
+
+impl From<&TrialCoverage> for Coverage {
+    fn from(coverage: &TrialCoverage) -> Self {
+        Self {
+            fraction: coverage.fraction,
+            weakest_direction: coverage.weakest_direction(),
+            worst_relative_uncertainty: coverage.worst_relative_uncertainty,
+        }
+    }
 }
 
 impl Report {
@@ -57,6 +92,11 @@ impl Report {
         let trial = solve(recording, rank, gate)?;
         let magnitude = recover(recording, &trial)?.magnitude().ok_or(Refusal::NonFinite)?;
         let (rank, gages) = (trial.rank(), trial.gages());
+        let uncertainty = Uncertainty {
+            bias_counts: trial.bias_deviation_counts().iter().copied().collect(),
+            shape_counts_per_load: rows(&trial.shape_deviation_counts_per_load()),
+        };
+        let coverage = Coverage::from(&trial.coverage);
         let TrialShape { samples, eigenvalues, noise_counts, bias_counts, shape_counts_per_load, .. } = trial;
         Ok(Self {
             rank,
@@ -67,6 +107,8 @@ impl Report {
             bias_counts: bias_counts.iter().copied().collect(),
             shape_counts_per_load: rows(&shape_counts_per_load),
             magnitude,
+            uncertainty,
+            coverage,
         })
     }
 
@@ -82,7 +124,11 @@ impl Report {
             None => writeln!(out, "noise        unknown: as many gages as directions")?,
         }
         writeln!(out, "magnitude    {:.5} ± {:.5} of the load", self.magnitude.mean, self.magnitude.std)?;
-        writeln!(out, "gage         bias (counts)   sensitivity (counts per load)")?;
+        let Coverage { fraction, weakest_direction, worst_relative_uncertainty } = &self.coverage;
+        writeln!(out, "uncertainty  {:.3} % of the load at worst", 100.0 * worst_relative_uncertainty)?;
+        writeln!(out, "coverage     {:.0} % of all directions", 100.0 * fraction)?;
+        writeln!(out, "to learn most, {weakest_direction}")?;
+        writeln!(out, "gage         bias (counts)     ±   sensitivity (counts per load)     ±")?;
         for (gage, bias) in self.bias_counts.iter().enumerate() {
             let squares: f64 = self
                 .shape_counts_per_load
@@ -90,9 +136,23 @@ impl Report {
                 .filter_map(|row| row.get(gage))
                 .map(|count| count * count)
                 .sum();
-            writeln!(out, "ch{gage:<2} {bias:21.2} {:31.2}", squares.sqrt())?;
+            let (bias_deviation, deviation) = self.deviations(gage);
+            writeln!(
+                out,
+                "ch{gage:<2} {bias:21.2} {bias_deviation:5.2} {:31.2} {deviation:5.2}",
+                squares.sqrt()
+            )?;
         }
         Ok(())
+    }
+
+    /// Standard deviations of a gage's bias (counts) and of its sensitivity (counts per load), that of its least certain
+    /// component.
+    fn deviations(&self, gage: usize) -> (f64, f64) {
+        let uncertainty = &self.uncertainty;
+        let components = uncertainty.shape_counts_per_load.iter().filter_map(|row| row.get(gage));
+        let bias = uncertainty.bias_counts.get(gage).copied().unwrap_or_default();
+        (bias, components.copied().fold(0.0, f64::max))
     }
 }
 

@@ -12,7 +12,6 @@ use rand_distr::{Distribution, StandardNormal};
 
 use super::{DemoError, Stage};
 use crate::calibration::consistency::ARM_ACCURACY_M;
-use crate::calibration::covariance::TrialCovariance;
 use crate::calibration::known_load::{KnownLoad, LoadCase, average};
 use crate::calibration::motion;
 use crate::calibration::trial::{self, Gating, SampleCounts, TrialShape};
@@ -82,8 +81,9 @@ pub fn acquire(
         let (recording, solution, status) = turn_and_solve(stage, trial, rank)?;
         // The sensor sends its answer alone; how certain that is follows from the same codes.
         let on_host = trial::solve(&recording, rank, Gating::On).map_err(refused(index))?;
-        let shape = from_sensor(&solution, &status, on_host.taken, on_host.covariance);
-        let difference = relative_difference(&shape.shape_counts_per_load, &on_host.shape_counts_per_load);
+        let of_host = on_host.shape_counts_per_load.clone();
+        let shape = from_sensor(&solution, &status, on_host);
+        let difference = relative_difference(&shape.shape_counts_per_load, &of_host);
         writeln!(
             progress,
             "  solved on the sensor from {} samples, noise {:.0} counts; the host, from the same codes: {}.",
@@ -263,16 +263,10 @@ fn recording_of(samples: &[Sample]) -> Recording {
 
 /// The sensor's solution as the host's calibration takes it. Which samples took part, and how certain the answer is, is what
 /// the host found: the sensor does the same and tells the answer alone.
-fn from_sensor(
-    solution: &Solution,
-    status: &TrialStatus,
-    taken: Vec<bool>,
-    covariance: TrialCovariance,
-) -> TrialShape {
+fn from_sensor(solution: &Solution, status: &TrialStatus, on_host: TrialShape) -> TrialShape {
     let gages = solution.bias_counts.len();
     TrialShape {
         samples: SampleCounts::on_the_sensor(status, solution),
-        taken,
         eigenvalues: DVector::from_column_slice(&solution.eigenvalues),
         noise_counts: solution.noise_counts,
         bias_counts: DVector::from_column_slice(&solution.bias_counts),
@@ -281,7 +275,7 @@ fn from_sensor(
             gages,
             &solution.shape_counts_per_load,
         ),
-        covariance,
+        ..on_host
     }
 }
 

@@ -12,8 +12,8 @@ use std::time::Duration;
 use ftcal_shared::units::{DataRate, Gain};
 use ftcal_shared::wire::frame::{Decoder, END_OF_FRAME, encode};
 use ftcal_shared::wire::{
-    AdcState, CalibrationUpload, Hello, PRODUCT, PROTOCOL_VERSION, Request, RequestId, Response, Solution,
-    Status, StreamKind, ToDevice, ToHost, TrialStatus,
+    AdcState, CalibrationUpload, Coverage, Hello, PRODUCT, PROTOCOL_VERSION, Request, RequestId, Response,
+    Solution, Status, StreamKind, ToDevice, ToHost, TrialStatus,
 };
 
 use super::error::{ClientError, LinkError};
@@ -230,6 +230,18 @@ impl<Line: Transport> Client<Line> {
         }
     }
 
+    /// What has the trial seen by now, and which way is the load to be turned? The trial goes on.
+    ///
+    /// # Errors
+    ///
+    /// [`ClientError::Refused`] where it has seen too little to tell; [`ClientError`].
+    pub fn coverage(&mut self) -> Result<Coverage, ClientError> {
+        match self.request(Request::Coverage, SOLVING)? {
+            Response::Coverage(coverage) => Ok(coverage),
+            _ => Err(LinkError::UnexpectedResponse.into()),
+        }
+    }
+
     /// Has the sensor use this calibration, and makes sure that it does by reading it back.
     ///
     /// # Errors
@@ -391,7 +403,8 @@ impl<Line: Transport> Client<Line> {
 }
 
 /// Whether a request may be sent again when its response was lost: whether the sensor ends up in the same state, and
-/// answers the same. Starting a trial twice is rejected; so is solving one that is being solved.
+/// answers the same. Starting a trial twice is rejected; so is solving one that is being solved, or asking for the coverage
+/// of one that is out for it.
 const fn is_safe_to_repeat(request: &Request) -> bool {
     match request {
         Request::Status
@@ -401,7 +414,7 @@ const fn is_safe_to_repeat(request: &Request) -> bool {
         | Request::TrialStatus
         | Request::UploadCalibration(_)
         | Request::ReadCalibration => true,
-        Request::StartTrial { .. } | Request::SolveTrial => false,
+        Request::StartTrial { .. } | Request::SolveTrial | Request::Coverage => false,
     }
 }
 

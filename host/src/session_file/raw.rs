@@ -11,7 +11,7 @@ use toml::Spanned;
 
 use crate::calibration::consistency::{ARM_ACCURACY_M, MASS_ACCURACY};
 
-use super::{Rest, STANDARD_GRAVITY, SessionKnownLoad, SessionTrial, Turning, place};
+use super::{Rest, Role, STANDARD_GRAVITY, SessionKnownLoad, SessionTrial, Turning, place};
 
 /// Gravity, mass and arm outside these are slips of the unit, not sensors; m/s², kg and m.
 const GRAVITY: std::ops::RangeInclusive<f64> = 1.0..=30.0;
@@ -48,6 +48,7 @@ struct Trial {
     arm_accuracy_m: Option<Spanned<f64>>,
     mass_accuracy_kg: Option<Spanned<f64>>,
     turning: Option<Spanned<Turning>>,
+    role: Option<Spanned<Role>>,
     #[serde(default)]
     known_load: Vec<KnownLoad>,
 }
@@ -91,6 +92,13 @@ impl Session {
                 found: "none".to_owned(),
             });
         }
+        if self.trial.iter().all(|trial| trial.role() == Role::Check) {
+            return Err(Unexpected {
+                offset: text.len(),
+                expected: "at least one [[trial]] that is fitted".to_owned(),
+                found: "checks alone".to_owned(),
+            });
+        }
         let context = Context { dof: self.dof, folder: path.parent().unwrap_or(Path::new("")), text };
         let trials = self.trial.iter().map(|trial| trial.checked(&context)).collect::<Result<_, _>>()?;
         Ok(super::Session { file: path.to_owned(), dof: self.dof, gravity, trials })
@@ -113,7 +121,17 @@ impl Trial {
             let expected = format!("a mass from {} to {} kg", MASS_KG.start(), MASS_KG.end());
             return Err(Unexpected::at(&self.mass_kg, expected, self.mass_kg.as_ref().to_string()));
         }
+        if let Some(role) =
+            self.role.as_ref().filter(|_| self.role() == Role::Check && !self.known_load.is_empty())
+        {
+            return Err(Unexpected::at(
+                role,
+                "no known load of a check: it is compared, never fitted",
+                "one",
+            ));
+        }
         Ok(SessionTrial {
+            role: self.role(),
             recording: context.folder.join(file_name(&self.recording)?),
             mass_kg: *self.mass_kg.as_ref(),
             arm_m: self.arm(context.dof)?,
@@ -158,6 +176,10 @@ impl Trial {
                 Err(Unexpected::at(accuracy, expected, accuracy.as_ref().to_string()))
             }
         }
+    }
+
+    fn role(&self) -> Role {
+        self.role.as_ref().map(|role| *role.as_ref()).unwrap_or_default()
     }
 
     fn arm(&self, dof: Dof) -> Result<DVector<f64>, Unexpected> {

@@ -23,7 +23,7 @@ use ftcal_shared::estimation::bins::Bins;
 use ftcal_shared::estimation::moments::higher_moment_count;
 use ftcal_shared::units::DeviceTime;
 use ftcal_shared::wire::frame::encode;
-use ftcal_shared::wire::{ClockSource, Request, RequestId, Response, ToDevice, ToHost};
+use ftcal_shared::wire::{ClockSource, Request, RequestId, ToDevice, ToHost};
 use thiserror::Error;
 
 use super::bench::Bench;
@@ -201,7 +201,7 @@ impl<const GAGES: usize, const HIGHER: usize> Board for GageBoard<GAGES, HIGHER>
             self.stream(frame);
         }
         if let Some((id, mut job)) = self.solving.take() {
-            let response = job.solve().map_or_else(Response::Refused, Response::Solution);
+            let response = job.response();
             self.sensor.finish_solving(job);
             self.line.send(&ToHost::Response(id, response));
         }

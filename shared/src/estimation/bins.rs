@@ -14,7 +14,9 @@
 
 use super::basis::basis;
 use super::code_sums::{CodeSums, MAX_SAMPLES};
+use super::coverage::{Coverage, coverage};
 use super::gate::{Gate, Quietness, Verdict};
+use super::metric::LARGEST_RELATIVE_UNCERTAINTY;
 use super::moments::Moments;
 use super::projection::{MotionSums, project};
 use super::shape::{TrialSolution, require_samples, solve_within};
@@ -23,6 +25,10 @@ use crate::units::AdcCode;
 
 /// Shift of the gains over the unexplained variance of |m|².
 const SHIFT_OVER_UNEXPLAINED: f64 = 0.375;
+
+/// The largest relative standard deviation of a principal value of the constraint with which a direction can be named: a
+/// gain known within a half.
+const ROUGHEST: f64 = 1.0;
 
 /// Gate and sums of one trial over `GAGES` channels. For `HIGHER` see [`Moments`].
 #[derive(Clone, Debug)]
@@ -113,6 +119,23 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
     ///
     /// Every refusal of [`super::shape::solve_trial`]: where no choice of classes has an answer, that of all samples together.
     pub fn solve<const RANK: usize>(&self) -> Result<QuietSolution<GAGES, RANK>, Refusal> {
+        self.solve_accepting(LARGEST_RELATIVE_UNCERTAINTY)
+    }
+
+    /// Where the trial stands by what has been settled, finished or not.
+    ///
+    /// # Errors
+    ///
+    /// Those of [`Bins::solve`]; but that the motion leaves the answer uncertain is no refusal here, as long as it says
+    /// which way to turn.
+    pub fn coverage<const RANK: usize>(&self) -> Result<Coverage<RANK>, Refusal> {
+        coverage(&self.solve_accepting(ROUGHEST)?.solution)
+    }
+
+    fn solve_accepting<const RANK: usize>(
+        &self,
+        accepted: f64,
+    ) -> Result<QuietSolution<GAGES, RANK>, Refusal> {
         let mut all = CodeSums::new(*self.by_quietness[0].pivot());
         for bin in &self.by_quietness {
             all.add(bin.codes())?;
@@ -130,7 +153,7 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
             if let Some(quieter) = &quiet {
                 sums.add(quieter);
             }
-            match solve_within(&subspace, &all, &sums) {
+            match solve_within(&subspace, &all, &sums, accepted) {
                 Err(cause) => refusal = cause,
                 Ok(solution) => {
                     let shift = SHIFT_OVER_UNEXPLAINED * solution.unexplained;

@@ -42,16 +42,28 @@ impl<const RANK: usize> DirectionMoments<RANK> {
 
     /// The density of m at direction `at`, relative to the uniform one; no less than zero.
     pub fn density(&self, at: &SVector<f64, RANK>) -> f64 {
-        let [t1, t2, t3, t4] = self.powers(at);
-        let density = if RANK == 2 {
-            1.0 + 2.0 * (t1 + (2.0 * t2 - 1.0) + (4.0 * t3 - 3.0 * t1) + (8.0 * t4 - 8.0 * t2 + 1.0))
-        } else {
-            1.0 + 3.0 * t1
-                + 5.0 * (3.0 * t2 - 1.0) / 2.0
-                + 7.0 * (5.0 * t3 - 3.0 * t1) / 2.0
-                + 9.0 * (35.0 * t4 - 30.0 * t2 + 3.0) / 8.0
-        };
-        density.max(0.0)
+        zonal_sum::<RANK>(self.powers(at)).max(0.0)
+    }
+
+    /// The mean square of the density over the sphere or circle: 1 for directions all over, 1/A for directions all over a
+    /// share A of it, as far as degree four tells.
+    ///
+    /// With the density's parts as above, it is the same sum over ⟨(m·m′)ᵏ⟩ for two independent directions m and m′, which
+    /// is the squared norm of the moment tensor of degree k.
+    pub fn concentration(&self) -> f64 {
+        let mut norms = [self.first.norm_squared(), 0.0, 0.0, 0.0];
+        for a in 0..RANK {
+            for b in 0..RANK {
+                norms[1] += self.higher.second[a][b] * self.higher.second[a][b];
+                for c in 0..RANK {
+                    norms[2] += self.higher.third[a][b][c] * self.higher.third[a][b][c];
+                    for d in 0..RANK {
+                        norms[3] += self.higher.fourth[a][b][c][d] * self.higher.fourth[a][b][c][d];
+                    }
+                }
+            }
+        }
+        zonal_sum::<RANK>(norms)
     }
 
     /// ⟨(q·m)ᵏ⟩ for k = 1 … 4.
@@ -71,6 +83,18 @@ impl<const RANK: usize> DirectionMoments<RANK> {
             }
         }
         powers
+    }
+}
+
+/// Σ (2l + 1) Pₗ(t) in space, 1 + 2 Σ Tₗ(t) in the plane, l up to four, of the mean powers ⟨t⟩ … ⟨t⁴⟩.
+fn zonal_sum<const RANK: usize>([t1, t2, t3, t4]: [f64; 4]) -> f64 {
+    if RANK == 2 {
+        1.0 + 2.0 * (t1 + (2.0 * t2 - 1.0) + (4.0 * t3 - 3.0 * t1) + (8.0 * t4 - 8.0 * t2 + 1.0))
+    } else {
+        1.0 + 3.0 * t1
+            + 5.0 * (3.0 * t2 - 1.0) / 2.0
+            + 7.0 * (5.0 * t3 - 3.0 * t1) / 2.0
+            + 9.0 * (35.0 * t4 - 30.0 * t2 + 3.0) / 8.0
     }
 }
 

@@ -16,7 +16,7 @@ use crate::refusal::Refusal;
 /// The largest relative standard deviation of a principal value of Q that counts as determined by the motion.
 ///
 /// A gain's relative standard deviation is half of this: a motion that cannot fix a gain within 5 % is refused.
-const LARGEST_RELATIVE_UNCERTAINTY: f64 = 0.1;
+pub const LARGEST_RELATIVE_UNCERTAINTY: f64 = 0.1;
 
 /// The largest standard deviation of the load's magnitude, relative and beyond noise, that still is one constant load:
 /// twice what a hand that never rests does to it.
@@ -39,7 +39,9 @@ pub struct Metric<const RANK: usize> {
 
 /// Solves the metric constraint from central moments of the whitened motion.
 ///
-/// `noise` is the variance of the noise in each whitened coordinate; zero where it is not known.
+/// `noise` is the variance of the noise in each whitened coordinate; zero where it is not known. `accepted` is the largest
+/// relative standard deviation of a principal value of Q with which there is an answer: [`LARGEST_RELATIVE_UNCERTAINTY`],
+/// or more for one that says no more than where a trial stands.
 ///
 /// # Errors
 ///
@@ -50,6 +52,7 @@ pub fn metric<const RANK: usize>(
     moments: &MotionMoments<RANK>,
     noise: &SVector<f64, RANK>,
     samples: u64,
+    accepted: f64,
 ) -> Result<Metric<RANK>, Refusal> {
     let free = moments.without_noise(noise);
     let normal = normal_matrix(&free);
@@ -73,7 +76,7 @@ pub fn metric<const RANK: usize>(
     let second = SMatrix::<f64, RANK, RANK>::from_fn(|a, b| free.second[a][b]);
     let squared_gradient = (quadratic * second * quadratic * 4.0).diagonal() + linear.component_mul(&linear);
     let covariance = factor.inverse() * ((unexplained + squared_gradient.dot(noise)) / samples.max(1) as f64);
-    require_determined::<RANK>(&quadratic, &covariance)?;
+    require_determined::<RANK>(&quadratic, &covariance, accepted)?;
 
     let quadratic_factor = Cholesky::new(quadratic).ok_or(Refusal::MetricNotPositiveDefinite)?;
     let centre = quadratic_factor.solve(&linear) * -0.5;
@@ -96,7 +99,7 @@ pub fn metric<const RANK: usize>(
 /// like a motion. But noise cannot hide: to first order it leaves a variance of Σ ν_k ⟨(∂/∂x_k)²⟩ of (x − c)ᵀM(x − c)
 /// unexplained, with the gradient 2M(x − c). All that is unexplained, taken for noise, gives the most that σ² can be; solved
 /// with that much noise taken out, the ellipsoid must stay where it was, by the measure that its own statistical
-/// uncertainty must meet.
+/// uncertainty must meet: no more than `accepted`.
 ///
 /// # Errors
 ///
@@ -106,6 +109,7 @@ pub fn require_indifference_to_noise<const RANK: usize>(
     variances: &SVector<f64, RANK>,
     found: &Metric<RANK>,
     samples: u64,
+    accepted: f64,
 ) -> Result<(), Refusal> {
     let m = &found.matrix;
     let about_centre =
@@ -113,7 +117,7 @@ pub fn require_indifference_to_noise<const RANK: usize>(
     let squared_gradient = (m * about_centre * m * 4.0).diagonal();
     let shares = variances.map(|variance| 1.0 / variance);
     let most = found.unexplained / squared_gradient.dot(&shares);
-    let other = metric(moments, &(shares * most), samples)?;
+    let other = metric(moments, &(shares * most), samples, accepted)?;
 
     // In coordinates in which the ellipsoid found is the unit sphere.
     let factor = Cholesky::new(found.matrix).ok_or(Refusal::MetricNotPositiveDefinite)?;
@@ -123,13 +127,14 @@ pub fn require_indifference_to_noise<const RANK: usize>(
     let shift = (factor.l().transpose() * (other.centre - found.centre)).norm();
     // A gain changes by half of what its square does.
     let change = values.max().max(2.0 * shift);
-    if change > LARGEST_RELATIVE_UNCERTAINTY { Err(does_not_span(change)) } else { Ok(()) }
+    if change > accepted { Err(does_not_span(change)) } else { Ok(()) }
 }
 
 /// Every principal value of Q must stand clear of its own uncertainty; a negative one that does is no ellipsoid.
 fn require_determined<const RANK: usize>(
     quadratic: &SMatrix<f64, RANK, RANK>,
     covariance: &SMatrix<f64, UNKNOWNS, UNKNOWNS>,
+    accepted: f64,
 ) -> Result<(), Refusal> {
     let principal = symmetric_eigen(quadratic)?;
     for k in 0..RANK {
@@ -143,7 +148,8 @@ fn require_determined<const RANK: usize>(
         let deviation = libm::sqrt(gradient.dot(&(covariance * gradient)).max(0.0));
         let value = principal.values[k];
         let relative = deviation / value.abs().max(f64::MIN_POSITIVE);
-        if relative > LARGEST_RELATIVE_UNCERTAINTY {
+        let determined = relative <= LARGEST_RELATIVE_UNCERTAINTY;
+        if relative > accepted || (value <= 0.0 && !determined) {
             return Err(does_not_span(relative));
         }
         if value <= 0.0 {

@@ -17,6 +17,7 @@
 //! | [`bins`] | sums by quietness, and how much of them to solve from | design § 5 |
 //! | [`directions`] | where the load has been | |
 //! | [`uncertainty`] | how well shape and bias are known | design § 4 |
+//! | [`coverage`] | what is still to be seen, and which way to turn the load for it | design § 4 |
 //! | [`calibration`] | calibration matrix of a shape | eq. 5 |
 //! | [`application`] | raw codes to wrench, in real time | eq. 1 |
 //!
@@ -28,6 +29,7 @@ pub mod basis;
 pub mod bins;
 pub mod calibration;
 pub mod code_sums;
+pub mod coverage;
 pub mod directions;
 mod eigen;
 pub mod gate;

@@ -6,7 +6,7 @@ use super::basis::{Basis, basis};
 use super::code_sums::CodeSums;
 use super::directions::DirectionMoments;
 use super::eigen::symmetric_eigen;
-use super::metric::{metric, require_indifference_to_noise};
+use super::metric::{LARGEST_RELATIVE_UNCERTAINTY, metric, require_indifference_to_noise};
 use super::moments::Moments;
 use super::projection::{MotionSums, project};
 use super::uncertainty::{Regressors, TrialUncertainty, predict};
@@ -50,7 +50,8 @@ pub fn solve_trial<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
 ) -> Result<TrialSolution<GAGES, RANK>, Refusal> {
     require_samples::<RANK>(moments.count())?;
     let subspace = basis::<GAGES, RANK>(&moments.codes().covariance(), moments.count())?;
-    solve_within(&subspace, moments.codes(), &project(moments, &subspace.vectors))
+    let quiet = project(moments, &subspace.vectors);
+    solve_within(&subspace, moments.codes(), &quiet, LARGEST_RELATIVE_UNCERTAINTY)
 }
 
 /// A trial of an unknown rank, or of too few samples, is refused.
@@ -62,7 +63,7 @@ pub(crate) const fn require_samples<const RANK: usize>(samples: u64) -> Result<(
 }
 
 /// Solves one trial within the subspace that `all` of its samples have given; the metric constraint is taken from the
-/// `quiet` ones among them, as projected onto that subspace.
+/// `quiet` ones among them, as projected onto that subspace. For `accepted` see [`metric`].
 ///
 /// # Errors
 ///
@@ -71,6 +72,7 @@ pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
     subspace: &Basis<GAGES, RANK>,
     all: &CodeSums<GAGES>,
     quiet: &MotionSums<RANK>,
+    accepted: f64,
 ) -> Result<TrialSolution<GAGES, RANK>, Refusal> {
     let samples = quiet.samples();
     require_samples::<RANK>(samples)?;
@@ -81,9 +83,9 @@ pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
     let whitening = SMatrix::<f64, RANK, RANK>::from_diagonal(&deviations.map(|deviation| 1.0 / deviation));
     let whitened_noise = variances.map(|variance| noise_variance.unwrap_or(0.0) / variance);
     let whitened = quiet.central().transformed(&whitening);
-    let metric = metric(&whitened, &whitened_noise, samples)?;
+    let metric = metric(&whitened, &whitened_noise, samples, accepted)?;
     if noise_variance.is_none() {
-        require_indifference_to_noise(&whitened, &variances, &metric, samples)?;
+        require_indifference_to_noise(&whitened, &variances, &metric, samples, accepted)?;
     }
 
     // M = LLᵀ makes m = Lᵀ(x − c) a unit vector, so z = b + V*Λ^½L⁻ᵀm: A = L⁻¹ in eq. 11, with Ŝ = Λ^½V*ᵀ.

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::report::{CodesFrame, Solution, Status, TrialStatus, WrenchFrame};
+use super::report::{CodesFrame, Coverage, Solution, Status, TrialStatus, WrenchFrame};
 use crate::refusal::Refusal;
 use crate::units::{DataRate, Dof, Gain, MAX_DOF, MAX_GAGES};
 
@@ -75,6 +75,9 @@ pub enum Request {
     UploadCalibration(CalibrationUpload),
     /// Which calibration do you use? Answered by [`Response::Calibration`].
     ReadCalibration,
+    /// What has the trial seen, and what not? Answered by [`Response::Coverage`] when computed. A running trial goes on
+    /// afterwards; samples that come meanwhile are not taken in.
+    Coverage,
 }
 
 /// What the sensor sends unasked.
@@ -107,6 +110,8 @@ pub enum Response {
     Refused(Refusal),
     /// The request cannot be served.
     Rejected(Rejection),
+    /// What the trial has seen, and what not.
+    Coverage(Coverage),
 }
 
 /// Why a request is not served.

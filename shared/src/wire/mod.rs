@@ -20,6 +20,6 @@ pub use message::{
     StreamKind, ToDevice, ToHost,
 };
 pub use report::{
-    AdcState, ClockSource, CodesFrame, InvalidCause, Measurement, Solution, Status, TrialPhase, TrialStatus,
-    WrenchFrame,
+    AdcState, ClockSource, CodesFrame, Coverage, GageTarget, InvalidCause, Measurement, Solution, Status,
+    TrialPhase, TrialStatus, WrenchFrame,
 };

@@ -117,6 +117,30 @@ pub struct Solution {
     pub samples: u32,
 }
 
+/// Where a trial stands.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Coverage {
+    /// Samples that took part.
+    pub samples: u32,
+    /// The share of all directions that the load has been through, 0 to 1.
+    pub fraction: f32,
+    /// The largest predicted standard deviation of a gain, cross-talk or offset, relative to the load.
+    pub worst_relative_uncertainty: f32,
+    /// Which way to turn the load next: what gages read there, the most telling one first.
+    pub targets: heapless::Vec<GageTarget, 3>,
+}
+
+/// What one gage reads with the load where it is to be turned.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct GageTarget {
+    /// The gage, counted from zero.
+    pub gage: u8,
+    /// Its code there, counts.
+    pub counts: f32,
+    /// Where that stands in the range that turning the load gives this gage: from −1, the lowest, to 1, the highest.
+    pub position: f32,
+}
+
 /// One raw sample.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CodesFrame {
