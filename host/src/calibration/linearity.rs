@@ -7,7 +7,7 @@
 //!   signal. A trial at another mass can: its shape, turned onto the one that the calibration predicts at its arm (orthogonal
 //!   Procrustes, [`super::procrustes`]), must be that shape. It is never fitted.
 
-use ftcal_shared::estimation::basis::QUANTISATION_VARIANCE;
+use ftcal_shared::estimation::rest_noise::QUANTISATION_VARIANCE;
 use serde::{Deserialize, Serialize};
 
 use super::known_load::{KnownLoad, squashing_matrix};

@@ -15,6 +15,7 @@
 use super::basis::basis;
 use super::code_sums::{CodeSums, MAX_SAMPLES};
 use super::coverage::{Coverage, coverage};
+use super::expectation::Expectation;
 use super::gate::{Gate, Quietness, Verdict};
 use super::metric::LARGEST_RELATIVE_UNCERTAINTY;
 use super::moments::Moments;
@@ -132,6 +133,16 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
         coverage(&self.solve_accepting(ROUGHEST)?.solution)
     }
 
+    /// Has every further sample compared with what a solution expects of it.
+    pub fn expect(&mut self, expectation: Option<Expectation<GAGES>>) {
+        self.gate.expect(expectation);
+    }
+
+    /// Samples so far whose load was of another magnitude than expected, however quiet they were.
+    pub const fn off_magnitude(&self) -> u32 {
+        self.gate.off_magnitude()
+    }
+
     fn solve_accepting<const RANK: usize>(
         &self,
         accepted: f64,
@@ -141,7 +152,7 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
             all.add(bin.codes())?;
         }
         require_samples::<RANK>(all.count())?;
-        let subspace = basis::<GAGES, RANK>(&all.covariance(), all.count())?;
+        let subspace = basis::<GAGES, RANK>(&all.covariance(), all.count(), &self.gate.noise())?;
         let mut best: Option<(f64, QuietSolution<GAGES, RANK>)> = None;
         let mut refusal = Refusal::NonFinite;
         let mut quiet: Option<MotionSums<RANK>> = None;
@@ -149,7 +160,7 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
             if bin.count() == 0 {
                 continue;
             }
-            let mut sums = project(bin, &subspace.vectors);
+            let mut sums = project(bin, &subspace.projection);
             if let Some(quieter) = &quiet {
                 sums.add(quieter);
             }

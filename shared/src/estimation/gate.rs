@@ -26,11 +26,19 @@
 //! the noise stands above the resolution, which is the smallest change of any code seen so far. With σ ≥ 2 steps a channel
 //! repeats itself once in seven samples, and all of two or more channels five times running in 10⁻⁸ of cases.
 //!
+//! # Expectation
+//!
+//! A trial that has been solved once knows what codes to expect ([`super::expectation`]). A sample whose codes answer to no load
+//! at this arm is rejected; one that does, but to a load of another magnitude, is classed fast, however quiet it was: the
+//! shape's subspace may be taken from it, the metric not.
+//!
 //! # Limits
 //!
 //! All is counted in samples. At rates so high that the load moves by less than the noise in 28 samples, everything is still,
 //! and a trial is what it would be with no gate.
 
+use super::expectation::{Expectation, Meets};
+use super::rest_noise::{ChannelNoise, RestNoise};
 use crate::units::AdcCode;
 
 /// Samples in a block.
@@ -90,6 +98,8 @@ pub enum Verdict {
     Saturated,
     /// The converter repeats itself.
     Repeated,
+    /// The codes answer to no load at this arm.
+    Contradictory,
 }
 
 /// The gate of one trial, over `GAGES` channels.
@@ -112,17 +122,29 @@ pub struct Gate<const GAGES: usize> {
     moving: u32,
     /// Class of the last block that was classed.
     latest: Quietness,
+    /// What the blocks at rest tell of the noise.
+    rest_noise: RestNoise<GAGES>,
+    expectation: Option<Expectation<GAGES>>,
+    /// Samples that were classed fast for the magnitude of their load alone.
+    off_magnitude: u32,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Block<const GAGES: usize> {
     codes: [[AdcCode; GAGES]; BLOCK],
+    /// Which of them have a load of another magnitude than expected.
+    off_magnitude: [bool; BLOCK],
     sum: [i32; GAGES],
     curvature: f32,
 }
 
 impl<const GAGES: usize> Block<GAGES> {
-    const EMPTY: Self = Self { codes: [[AdcCode::ZERO; GAGES]; BLOCK], sum: [0; GAGES], curvature: 0.0 };
+    const EMPTY: Self = Self {
+        codes: [[AdcCode::ZERO; GAGES]; BLOCK],
+        off_magnitude: [false; BLOCK],
+        sum: [0; GAGES],
+        curvature: 0.0,
+    };
 
     /// Sums up the full block.
     fn complete(&mut self) {
@@ -167,7 +189,25 @@ impl<const GAGES: usize> Gate<GAGES> {
             usual_change: 0.0,
             moving: 0,
             latest: Quietness::Fast,
+            rest_noise: RestNoise::new(),
+            expectation: None,
+            off_magnitude: 0,
         }
+    }
+
+    /// Has every further sample compared with this.
+    pub fn expect(&mut self, expectation: Option<Expectation<GAGES>>) {
+        self.expectation = expectation;
+    }
+
+    /// Samples so far that were classed fast for the magnitude of their load alone.
+    pub const fn off_magnitude(&self) -> u32 {
+        self.off_magnitude
+    }
+
+    /// What the rests so far tell of the noise of the channels.
+    pub fn noise(&self) -> ChannelNoise<GAGES> {
+        self.rest_noise.channels(self.step)
     }
 
     /// Takes in one sample; `take` gets the earlier samples that are classed by it, in their order.
@@ -182,8 +222,13 @@ impl<const GAGES: usize> Gate<GAGES> {
         if self.is_suspicious_repetition(codes) {
             return Verdict::Repeated;
         }
+        let meets = self.expectation.as_ref().map_or(Meets::Both, |expected| expected.judge(codes));
+        if meets == Meets::Neither {
+            return Verdict::Contradictory;
+        }
         let block = &mut self.blocks[self.complete as usize % WINDOW];
         block.codes[self.filled] = *codes;
+        block.off_magnitude[self.filled] = meets != Meets::Both;
         self.filled += 1;
         if self.filled == BLOCK {
             block.complete();
@@ -197,7 +242,7 @@ impl<const GAGES: usize> Gate<GAGES> {
         Verdict::Accepted
     }
 
-    /// Hands out the samples that still wait, classed by what there is, and forgets them.
+    /// Hands out the samples that still wait, classed by what there is. What was learnt of the noise stays.
     pub fn finish(&mut self, take: &mut impl FnMut(Quietness, &[AdcCode; GAGES])) {
         if let Some(newest) = self.complete.checked_sub(1) {
             for number in (newest + 1).saturating_sub(REACH)..=newest {
@@ -205,11 +250,10 @@ impl<const GAGES: usize> Gate<GAGES> {
             }
         }
         // Too few for a block: they go with the block before.
-        let rest = &self.blocks[self.complete as usize % WINDOW].codes[..self.filled];
-        for codes in rest {
-            take(self.latest, codes);
-        }
-        *self = Self::new();
+        let last = self.complete as usize % WINDOW;
+        self.hand_out(last, self.filled, take);
+        (self.complete, self.filled) = (0, 0);
+        (self.last, self.repeats) = (None, 0);
     }
 
     fn is_suspicious_repetition(&mut self, codes: &[AdcCode; GAGES]) -> bool {
@@ -241,8 +285,28 @@ impl<const GAGES: usize> Gate<GAGES> {
     /// Classes block `number` and hands out its samples.
     fn release(&mut self, number: u32, newest: u32, take: &mut impl FnMut(Quietness, &[AdcCode; GAGES])) {
         self.latest = self.class(number, newest);
-        for codes in &self.blocks[number as usize % WINDOW].codes {
-            take(self.latest, codes);
+        let place = number as usize % WINDOW;
+        if self.latest == Quietness::Still {
+            self.rest_noise.take(&self.blocks[place].codes);
+        }
+        self.hand_out(place, BLOCK, take);
+    }
+
+    /// Hands out the first samples of a block, in its class.
+    fn hand_out(
+        &mut self,
+        place: usize,
+        samples: usize,
+        take: &mut impl FnMut(Quietness, &[AdcCode; GAGES]),
+    ) {
+        let Block { codes, off_magnitude, .. } = &self.blocks[place];
+        for (codes, &off_magnitude) in codes.iter().zip(off_magnitude).take(samples) {
+            if off_magnitude && self.latest != Quietness::Fast {
+                self.off_magnitude = self.off_magnitude.saturating_add(1);
+                take(Quietness::Fast, codes);
+            } else {
+                take(self.latest, codes);
+            }
         }
     }
 

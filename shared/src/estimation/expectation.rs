@@ -1,0 +1,144 @@
+//! What a trial that has been solved once expects of its samples: that their codes lie in the subspace of the shape, and that the
+//! load's magnitude is what it was (design § 5, § 8).
+//!
+//! A sample's load is m = C(z − b), and what remains, e = z − b − Sᵀm, is noise whatever the load.
+//!
+//! * **Parity.** ‖e‖² has the mean σ² tr P and the variance 2σ⁴ tr P² with the covariance σ²P of e, and is taken for the χ²
+//!   that has both (Satterthwaite). Where it is more than chance would bring about once in 10⁶ samples, the codes are no
+//!   answer to a load at this arm: a glitch in a channel, or a hand on the sensor.
+//! * **Magnitude.** |m|² − 1 has the variance v(m) of [`super::uncertainty`], and the solution's own uncertainty besides.
+//!
+//! Both limits are doubled in amplitude: a sensor that is not quite linear is off by more in some directions than in others, and
+//! it is gross errors that are to be found here, not directions. All is in single precision; the bias is split as in
+//! [`super::application`].
+
+use super::eigen::symmetric_eigen;
+use super::rest_noise::chi_square_limit;
+use super::shape::TrialSolution;
+use crate::refusal::Refusal;
+use crate::units::AdcCode;
+
+/// The largest rank of a trial.
+const LARGEST_RANK: usize = 3;
+
+/// The fewest samples of a solution that anything is expected from: the subspace is then known to a tenth of the noise.
+const LEAST_SAMPLES: u64 = 400;
+
+/// How much of the limit that chance alone would have is left to what the model does not know, in amplitude.
+const MARGIN: f64 = 2.0;
+
+/// Once in 10⁶ samples, two-sided, in standard deviations.
+const LARGEST_DEVIATION: f64 = 4.9;
+
+/// |m|² is off by mᵀEm + hᵀm, six terms of twice the worst standard deviation at most.
+const SHARE_OF_WORST: f64 = 12.0;
+
+/// What is expected of a sample of `GAGES` channels.
+#[derive(Clone, Debug)]
+pub struct Expectation<const GAGES: usize> {
+    /// The whole part of the bias, counts.
+    pivot: [i32; GAGES],
+    /// Its fraction, counts.
+    fraction: [f32; GAGES],
+    /// C (r × p), per unit load; rows beyond the rank are zero.
+    to_load: [[f32; GAGES]; LARGEST_RANK],
+    /// S (r × p), counts per unit load; rows beyond the rank are zero.
+    shape: [[f32; GAGES]; LARGEST_RANK],
+    /// The largest ‖e‖², counts²; infinite where nothing is redundant.
+    largest_parity: f32,
+    /// The largest change of |m|².
+    largest_change: f32,
+}
+
+/// How a sample meets the expectation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Meets {
+    /// It does.
+    Both,
+    /// The load's magnitude is another.
+    ParityAlone,
+    /// The codes answer to no load at this arm.
+    Neither,
+}
+
+impl<const GAGES: usize> Expectation<GAGES> {
+    /// What this solution expects; `None` where it stands on too few samples to expect anything.
+    ///
+    /// # Errors
+    ///
+    /// [`Refusal::NonFinite`].
+    pub fn new<const RANK: usize>(solution: &TrialSolution<GAGES, RANK>) -> Result<Option<Self>, Refusal> {
+        if solution.samples < LEAST_SAMPLES {
+            return Ok(None);
+        }
+        let load_noise = symmetric_eigen(&solution.load_noise)?.values;
+        let variance = 4.0 * load_noise.max() + 2.0 * load_noise.norm_squared() + solution.unexplained;
+        let change = MARGIN * LARGEST_DEVIATION * libm::sqrt(variance)
+            + SHARE_OF_WORST * solution.uncertainty.worst_relative();
+        let (mut pivot, mut fraction) = ([0; GAGES], [0.0; GAGES]);
+        let (mut to_load, mut shape) = ([[0.0; GAGES]; LARGEST_RANK], [[0.0; GAGES]; LARGEST_RANK]);
+        #[expect(clippy::cast_possible_truncation, reason = "single precision is what the sample path has")]
+        for gage in 0..GAGES {
+            pivot[gage] = solution.bias_counts[gage] as i32;
+            fraction[gage] = (solution.bias_counts[gage] - f64::from(pivot[gage])) as f32;
+            for row in 0..RANK.min(LARGEST_RANK) {
+                to_load[row][gage] = solution.to_load[(row, gage)] as f32;
+                shape[row][gage] = solution.shape_counts_per_load[(row, gage)] as f32;
+            }
+        }
+        #[expect(clippy::cast_possible_truncation, reason = "a limit needs three digits")]
+        Ok(Some(Self {
+            pivot,
+            fraction,
+            to_load,
+            shape,
+            largest_parity: largest_parity(solution) as f32,
+            largest_change: change as f32,
+        }))
+    }
+
+    /// Compares a sample with it.
+    pub fn judge(&self, codes: &[AdcCode; GAGES]) -> Meets {
+        let signal: [f32; GAGES] = core::array::from_fn(|gage| {
+            // A bias is about inside of the converter's range: the difference has 25 bits, or wraps around into nonsense that is
+            // no load.
+            codes[gage].counts().wrapping_sub(self.pivot[gage]) as f32 - self.fraction[gage]
+        });
+        let mut load = [0.0; LARGEST_RANK];
+        for (component, row) in load.iter_mut().zip(&self.to_load) {
+            for gage in 0..GAGES {
+                *component += row[gage] * signal[gage];
+            }
+        }
+        let mut parity = 0.0;
+        for gage in 0..GAGES {
+            let mut rest = signal[gage];
+            for (component, row) in load.iter().zip(&self.shape) {
+                rest -= component * row[gage];
+            }
+            parity += rest * rest;
+        }
+        let squared: f32 = load.iter().map(|component| component * component).sum();
+        if parity > self.largest_parity {
+            Meets::Neither
+        } else if (squared - 1.0).abs() > self.largest_change {
+            Meets::ParityAlone
+        } else {
+            Meets::Both
+        }
+    }
+}
+
+/// What ‖e‖² exceeds by chance once in 10⁶ samples, and the margin; counts².
+fn largest_parity<const GAGES: usize, const RANK: usize>(solution: &TrialSolution<GAGES, RANK>) -> f64 {
+    let noise = &solution.redundant_noise;
+    let (mean, mean_square) = (noise.trace(), noise.norm_squared());
+    match solution.noise_variance {
+        Some(variance) if GAGES > RANK => {
+            let freedom = mean * mean / mean_square;
+            let limit = variance * mean_square / mean * chi_square_limit(freedom);
+            MARGIN * MARGIN * limit
+        }
+        _ => f64::INFINITY,
+    }
+}
