@@ -8,9 +8,10 @@
 //!   answer to a load at this arm: a glitch in a channel, or a hand on the sensor.
 //! * **Magnitude.** |m|² − 1 has the variance v(m) of [`super::uncertainty`], and the solution's own uncertainty besides.
 //!
-//! Both limits are doubled in amplitude: a sensor that is not quite linear is off by more in some directions than in others, and
-//! it is gross errors that are to be found here, not directions. All is in single precision; the bias is split as in
-//! [`super::application`].
+//! What the sensor is off by because it is not quite linear is contained in both variances as a mean over all directions; in some
+//! it is more. The limit of the magnitude has room for that; that of the parity, which has several degrees of freedom, is doubled in
+//! amplitude: it is gross errors that are to be found here, not directions. All is in single precision; the bias is split
+//! as in [`super::application`].
 
 use super::eigen::symmetric_eigen;
 use super::rest_noise::chi_square_limit;
@@ -24,8 +25,8 @@ const LARGEST_RANK: usize = 3;
 /// The fewest samples of a solution that anything is expected from: the subspace is then known to a tenth of the noise.
 const LEAST_SAMPLES: u64 = 400;
 
-/// How much of the limit that chance alone would have is left to what the model does not know, in amplitude.
-const MARGIN: f64 = 2.0;
+/// The largest parity over what chance alone would bring about, in amplitude.
+const PARITY_MARGIN: f64 = 2.0;
 
 /// Once in 10⁶ samples, two-sided, in standard deviations.
 const LARGEST_DEVIATION: f64 = 4.9;
@@ -73,8 +74,8 @@ impl<const GAGES: usize> Expectation<GAGES> {
         }
         let load_noise = symmetric_eigen(&solution.load_noise)?.values;
         let variance = 4.0 * load_noise.max() + 2.0 * load_noise.norm_squared() + solution.unexplained;
-        let change = MARGIN * LARGEST_DEVIATION * libm::sqrt(variance)
-            + SHARE_OF_WORST * solution.uncertainty.worst_relative();
+        let change =
+            LARGEST_DEVIATION * libm::sqrt(variance) + SHARE_OF_WORST * solution.uncertainty.worst_relative();
         let (mut pivot, mut fraction) = ([0; GAGES], [0.0; GAGES]);
         let (mut to_load, mut shape) = ([[0.0; GAGES]; LARGEST_RANK], [[0.0; GAGES]; LARGEST_RANK]);
         #[expect(clippy::cast_possible_truncation, reason = "single precision is what the sample path has")]
@@ -137,7 +138,7 @@ fn largest_parity<const GAGES: usize, const RANK: usize>(solution: &TrialSolutio
         Some(variance) if GAGES > RANK => {
             let freedom = mean * mean / mean_square;
             let limit = variance * mean_square / mean * chi_square_limit(freedom);
-            MARGIN * MARGIN * limit
+            PARITY_MARGIN * PARITY_MARGIN * limit
         }
         _ => f64::INFINITY,
     }
