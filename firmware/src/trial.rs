@@ -10,13 +10,17 @@ use core::ops::DerefMut;
 use ftcal_shared::estimation::bins::{Bins, QuietSolution};
 use ftcal_shared::estimation::coverage;
 use ftcal_shared::estimation::expectation::Expectation;
-use ftcal_shared::estimation::gate::{Quietness, Verdict};
+use ftcal_shared::estimation::gate::{BLOCK, Quietness, Verdict};
 use ftcal_shared::estimation::shape::TrialSolution;
 use ftcal_shared::refusal::Refusal;
 use ftcal_shared::units::{AdcCode, SampleIndex};
 use ftcal_shared::wire::{
     Coverage, GageList, GageTarget, Rejection, Response, Solution, TrialPhase, TrialStatus,
 };
+
+/// Samples of a block that come before its last one.
+#[expect(clippy::cast_possible_truncation, reason = "three")]
+const EARLIER_IN_BLOCK: u32 = BLOCK as u32 - 1;
 
 /// The trial of the sensor.
 #[derive(Debug)]
@@ -152,7 +156,12 @@ where
             Some(Ok(Verdict::Accepted)) => &mut counts.taken,
             Some(Ok(Verdict::Saturated)) => &mut counts.saturated,
             Some(Ok(Verdict::Repeated)) => &mut counts.repeated,
-            Some(Ok(Verdict::Contradictory)) => &mut counts.contradictory,
+            Some(Ok(Verdict::Contradictory)) => {
+                // Its block goes with it.
+                counts.taken = counts.taken.saturating_sub(EARLIER_IN_BLOCK);
+                counts.contradictory = counts.contradictory.saturating_add(EARLIER_IN_BLOCK);
+                &mut counts.contradictory
+            }
             // The sums are as full as they may get: what they hold stays good.
             Some(Err(_)) => {
                 self.phase = TrialPhase::Stopped;

@@ -10,8 +10,8 @@ use std::collections::BTreeMap;
 
 use clap::ValueEnum;
 use ftcal_shared::estimation::bins::{Bins, QuietSolution};
-use ftcal_shared::estimation::expectation::{Expectation, Meets};
-use ftcal_shared::estimation::gate::{Gate, Quietness, Verdict};
+use ftcal_shared::estimation::expectation::Expectation;
+use ftcal_shared::estimation::gate::{BLOCK, Gate, Quietness, Verdict};
 use ftcal_shared::estimation::moments::higher_moment_count;
 use ftcal_shared::estimation::shape::TrialSolution;
 use ftcal_shared::refusal::Refusal;
@@ -194,8 +194,11 @@ fn solve_gages<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
 
 /// Whether any sample is not what is expected.
 fn surprises<const GAGES: usize>(recording: &Recording, expected: &Expectation<GAGES>) -> bool {
+    let mut gate = Gate::<GAGES>::new();
+    gate.expect(Some(expected.clone()));
     let mut samples = recording.samples().filter_map(|(_, codes)| <&[AdcCode; GAGES]>::try_from(codes).ok());
-    samples.any(|codes| expected.judge(codes) != Meets::Both)
+    samples
+        .any(|codes| gate.offer(codes, &mut |_, _| ()) == Verdict::Contradictory || gate.off_magnitude() > 0)
 }
 
 /// All samples of a recording, taken once.
@@ -215,10 +218,16 @@ fn pass<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
     let mut verdicts = Vec::with_capacity(recording.len());
     for (_, codes) in recording.samples() {
         let codes = <&[AdcCode; GAGES]>::try_from(codes).map_err(|_| unsupported(codes.len(), RANK))?;
-        verdicts.push(match gating {
+        let verdict = match gating {
             Gating::On => bins.offer(codes),
             Gating::Off => bins.offer_ungated(codes),
-        }?);
+        }?;
+        verdicts.push(verdict);
+        if verdict == Verdict::Contradictory {
+            // Its block goes with it.
+            let earlier = verdicts.iter_mut().rev().filter(|verdict| **verdict == Verdict::Accepted);
+            earlier.take(BLOCK - 1).for_each(|verdict| *verdict = Verdict::Contradictory);
+        }
     }
     bins.finish();
     let quiet = bins.solve::<RANK>().map_err(|refusal| match refusal {

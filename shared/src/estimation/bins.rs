@@ -147,13 +147,10 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
         &self,
         accepted: f64,
     ) -> Result<QuietSolution<GAGES, RANK>, Refusal> {
-        let mut all = CodeSums::new(*self.by_quietness[0].pivot());
-        for bin in &self.by_quietness {
-            all.add(bin.codes())?;
-        }
+        let all = self.all_codes()?;
         require_samples::<RANK>(all.count())?;
         let subspace = basis::<GAGES, RANK>(&all.covariance(), all.count(), &self.gate.noise())?;
-        let mut best: Option<(f64, QuietSolution<GAGES, RANK>)> = None;
+        let mut best: Option<QuietSolution<GAGES, RANK>> = None;
         let mut refusal = Refusal::NonFinite;
         let mut quiet: Option<MotionSums<RANK>> = None;
         for (bin, up_to) in self.by_quietness.iter().zip(Quietness::ALL) {
@@ -167,17 +164,29 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
             match solve_within(&subspace, &all, &sums, accepted) {
                 Err(cause) => refusal = cause,
                 Ok(solution) => {
-                    let shift = SHIFT_OVER_UNEXPLAINED * solution.unexplained;
-                    let error = libm::hypot(solution.uncertainty.worst_relative(), shift);
-                    if best.as_ref().is_none_or(|(least, _)| error < *least) {
-                        best = Some((error, QuietSolution { solution, up_to }));
+                    if best.as_ref().is_none_or(|best| error(&solution) < error(&best.solution)) {
+                        best = Some(QuietSolution { solution, up_to });
                     }
                 }
             }
             quiet = Some(sums);
         }
-        best.map(|(_, quiet)| quiet).ok_or(refusal)
+        best.ok_or(refusal)
     }
+
+    #[inline(never)]
+    fn all_codes(&self) -> Result<CodeSums<GAGES>, Refusal> {
+        let mut all = CodeSums::new(*self.by_quietness[0].pivot());
+        for bin in &self.by_quietness {
+            all.add(bin.codes())?;
+        }
+        Ok(all)
+    }
+}
+
+/// The error ε of the worst coefficient that is to be expected of a solution; see above.
+fn error<const GAGES: usize, const RANK: usize>(solution: &TrialSolution<GAGES, RANK>) -> f64 {
+    libm::hypot(solution.uncertainty.worst_relative(), SHIFT_OVER_UNEXPLAINED * solution.unexplained)
 }
 
 fn push<const GAGES: usize, const HIGHER: usize>(

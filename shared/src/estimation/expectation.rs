@@ -1,23 +1,26 @@
 //! What a trial that has been solved once expects of its samples: that their codes lie in the subspace of the shape, and that the
 //! load's magnitude is what it was (design § 5, § 8).
 //!
-//! A sample's load is m = C(z − b), and what remains, e = z − b − Sᵀm, is noise whatever the load.
+//! The samples are judged by the means of blocks of four, as the gate takes them. The load of a block is m = C(z̄ − b), and what
+//! remains, e = z̄ − b − Sᵀm, is noise whatever the load.
 //!
-//! * **Parity.** ‖e‖² has the mean σ² tr P and the variance 2σ⁴ tr P² with the covariance σ²P of e, and is taken for the χ²
-//!   that has both (Satterthwaite). Where it is more than chance would bring about once in 10⁶ samples, the codes are no
-//!   answer to a load at this arm: a glitch in a channel, or a hand on the sensor.
-//! * **Magnitude.** |m|² − 1 has the variance v(m) of [`super::uncertainty`], and the solution's own uncertainty besides.
+//! * **Parity.** ‖e‖² has the mean σ² tr P / 4 and the variance 2σ⁴ tr P² / 16 with the covariance σ²P of what a sample leaves,
+//!   and is taken for the χ² that has both (Satterthwaite). Where it is more than chance would bring about once in 10⁶
+//!   blocks, the codes are no answer to a load at this arm: a glitch in a channel, or a hand on the sensor.
+//! * **Magnitude.** |m|² − 1 has the variance v(m) of [`super::uncertainty`], with the noise of a mean of four, and the solution's
+//!   own uncertainty besides.
 //!
 //! What the sensor is off by because it is not quite linear is contained in both variances as a mean over all directions; in some
 //! it is more. The limit of the magnitude has room for that; that of the parity, which has several degrees of freedom, is doubled in
-//! amplitude: it is gross errors that are to be found here, not directions. All is in single precision; the bias is split
-//! as in [`super::application`].
+//! amplitude: it is gross errors that are to be found here, not directions. All is in single precision.
 
 use super::eigen::symmetric_eigen;
 use super::rest_noise::chi_square_limit;
 use super::shape::TrialSolution;
 use crate::refusal::Refusal;
-use crate::units::AdcCode;
+
+/// Samples in a block.
+const SAMPLES: f64 = super::gate::BLOCK as f64;
 
 /// The largest rank of a trial.
 const LARGEST_RANK: usize = 3;
@@ -34,24 +37,22 @@ const LARGEST_DEVIATION: f64 = 4.9;
 /// |m|² is off by mᵀEm + hᵀm, six terms of twice the worst standard deviation at most.
 const SHARE_OF_WORST: f64 = 12.0;
 
-/// What is expected of a sample of `GAGES` channels.
+/// What is expected of a block of samples of `GAGES` channels.
 #[derive(Clone, Debug)]
 pub struct Expectation<const GAGES: usize> {
-    /// The whole part of the bias, counts.
+    /// The sum of a block with no load, rounded: an eighth of a count of its mean at most.
     pivot: [i32; GAGES],
-    /// Its fraction, counts.
-    fraction: [f32; GAGES],
-    /// C (r × p), per unit load; rows beyond the rank are zero.
+    /// C (r × p) over the samples of a block, per unit load; rows beyond the rank are zero.
     to_load: [[f32; GAGES]; LARGEST_RANK],
-    /// S (r × p), counts per unit load; rows beyond the rank are zero.
+    /// S (r × p) times the samples of a block, counts per unit load; rows beyond the rank are zero.
     shape: [[f32; GAGES]; LARGEST_RANK],
-    /// The largest ‖e‖², counts²; infinite where nothing is redundant.
+    /// The largest ‖e‖² for the sum of a block, counts²; infinite where nothing is redundant.
     largest_parity: f32,
     /// The largest change of |m|².
     largest_change: f32,
 }
 
-/// How a sample meets the expectation.
+/// How a block meets the expectation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Meets {
     /// It does.
@@ -72,39 +73,35 @@ impl<const GAGES: usize> Expectation<GAGES> {
         if solution.samples < LEAST_SAMPLES {
             return Ok(None);
         }
-        let load_noise = symmetric_eigen(&solution.load_noise)?.values;
+        let load_noise = symmetric_eigen(&solution.load_noise)?.values / SAMPLES;
         let variance = 4.0 * load_noise.max() + 2.0 * load_noise.norm_squared() + solution.unexplained;
         let change =
             LARGEST_DEVIATION * libm::sqrt(variance) + SHARE_OF_WORST * solution.uncertainty.worst_relative();
-        let (mut pivot, mut fraction) = ([0; GAGES], [0.0; GAGES]);
-        let (mut to_load, mut shape) = ([[0.0; GAGES]; LARGEST_RANK], [[0.0; GAGES]; LARGEST_RANK]);
+        let mut expected = Self {
+            pivot: [0; GAGES],
+            to_load: [[0.0; GAGES]; LARGEST_RANK],
+            shape: [[0.0; GAGES]; LARGEST_RANK],
+            largest_parity: largest_parity(solution),
+            #[expect(clippy::cast_possible_truncation, reason = "a limit needs three digits")]
+            largest_change: change as f32,
+        };
         #[expect(clippy::cast_possible_truncation, reason = "single precision is what the sample path has")]
         for gage in 0..GAGES {
-            pivot[gage] = solution.bias_counts[gage] as i32;
-            fraction[gage] = (solution.bias_counts[gage] - f64::from(pivot[gage])) as f32;
+            expected.pivot[gage] = libm::round(SAMPLES * solution.bias_counts[gage]) as i32;
             for row in 0..RANK.min(LARGEST_RANK) {
-                to_load[row][gage] = solution.to_load[(row, gage)] as f32;
-                shape[row][gage] = solution.shape_counts_per_load[(row, gage)] as f32;
+                expected.to_load[row][gage] = (solution.to_load[(row, gage)] / SAMPLES) as f32;
+                expected.shape[row][gage] = (solution.shape_counts_per_load[(row, gage)] * SAMPLES) as f32;
             }
         }
-        #[expect(clippy::cast_possible_truncation, reason = "a limit needs three digits")]
-        Ok(Some(Self {
-            pivot,
-            fraction,
-            to_load,
-            shape,
-            largest_parity: largest_parity(solution) as f32,
-            largest_change: change as f32,
-        }))
+        Ok(Some(expected))
     }
 
-    /// Compares a sample with it.
-    pub fn judge(&self, codes: &[AdcCode; GAGES]) -> Meets {
-        let signal: [f32; GAGES] = core::array::from_fn(|gage| {
-            // A bias is about inside of the converter's range: the difference has 25 bits, or wraps around into nonsense that is
-            // no load.
-            codes[gage].counts().wrapping_sub(self.pivot[gage]) as f32 - self.fraction[gage]
-        });
+    /// Compares a block, given as the sum of its samples, with it.
+    pub fn judge(&self, sum: &[i32; GAGES]) -> Meets {
+        // A bias is about inside of the converter's range: the difference has 27 bits, or wraps around into nonsense that is
+        // no load.
+        let signal: [f32; GAGES] =
+            core::array::from_fn(|gage| sum[gage].wrapping_sub(self.pivot[gage]) as f32);
         let mut load = [0.0; LARGEST_RANK];
         for (component, row) in load.iter_mut().zip(&self.to_load) {
             for gage in 0..GAGES {
@@ -130,16 +127,18 @@ impl<const GAGES: usize> Expectation<GAGES> {
     }
 }
 
-/// What ‖e‖² exceeds by chance once in 10⁶ samples, and the margin; counts².
-fn largest_parity<const GAGES: usize, const RANK: usize>(solution: &TrialSolution<GAGES, RANK>) -> f64 {
+/// What ‖e‖² of a block's sum exceeds by chance once in 10⁶ blocks, and the margin; counts².
+fn largest_parity<const GAGES: usize, const RANK: usize>(solution: &TrialSolution<GAGES, RANK>) -> f32 {
     let noise = &solution.redundant_noise;
     let (mean, mean_square) = (noise.trace(), noise.norm_squared());
     match solution.noise_variance {
         Some(variance) if GAGES > RANK => {
             let freedom = mean * mean / mean_square;
-            let limit = variance * mean_square / mean * chi_square_limit(freedom);
-            PARITY_MARGIN * PARITY_MARGIN * limit
+            let limit = SAMPLES * variance * mean_square / mean * chi_square_limit(freedom);
+            #[expect(clippy::cast_possible_truncation, reason = "a limit needs three digits")]
+            let limit = (PARITY_MARGIN * PARITY_MARGIN * limit) as f32;
+            limit
         }
-        _ => f64::INFINITY,
+        _ => f32::INFINITY,
     }
 }

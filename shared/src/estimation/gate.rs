@@ -28,9 +28,9 @@
 //!
 //! # Expectation
 //!
-//! A trial that has been solved once knows what codes to expect ([`super::expectation`]). A sample whose codes answer to no load
-//! at this arm is rejected; one that does, but to a load of another magnitude, is classed fast, however quiet it was: the
-//! shape's subspace may be taken from it, the metric not.
+//! A trial that has been solved once knows what codes to expect ([`super::expectation`]). A block whose codes answer to no load
+//! at this arm is rejected, and forgotten; one that does, but to a load of another magnitude, is classed fast, however quiet
+//! it was: the shape's subspace may be taken from it, the metric not.
 //!
 //! # Limits
 //!
@@ -42,7 +42,10 @@ use super::rest_noise::{ChannelNoise, RestNoise};
 use crate::units::AdcCode;
 
 /// Samples in a block.
-const BLOCK: usize = 4;
+pub const BLOCK: usize = 4;
+
+/// The same, as samples are counted.
+const BLOCK_SAMPLES: u32 = 4;
 
 /// Blocks to each side of a block by which it is classed.
 const REACH: u32 = 3;
@@ -98,7 +101,7 @@ pub enum Verdict {
     Saturated,
     /// The converter repeats itself.
     Repeated,
-    /// The codes answer to no load at this arm.
+    /// The codes answer to no load at this arm: of this sample and of the last three that were accepted, which make up a block.
     Contradictory,
 }
 
@@ -108,7 +111,7 @@ pub struct Gate<const GAGES: usize> {
     last: Option<[AdcCode; GAGES]>,
     /// Identical samples in a row, after the first.
     repeats: u32,
-    /// The smallest change of any code, counts; zero until there is one.
+    /// The smallest change of any code from one sample to the next, counts; zero until there is one.
     step: i32,
     /// The last blocks, by number modulo `WINDOW`; the one after the last complete one is being filled.
     blocks: [Block<GAGES>; WINDOW],
@@ -132,8 +135,8 @@ pub struct Gate<const GAGES: usize> {
 #[derive(Clone, Copy, Debug)]
 struct Block<const GAGES: usize> {
     codes: [[AdcCode; GAGES]; BLOCK],
-    /// Which of them have a load of another magnitude than expected.
-    off_magnitude: [bool; BLOCK],
+    /// Whether their load is of another magnitude than expected.
+    off_magnitude: bool,
     sum: [i32; GAGES],
     curvature: f32,
 }
@@ -141,21 +144,30 @@ struct Block<const GAGES: usize> {
 impl<const GAGES: usize> Block<GAGES> {
     const EMPTY: Self = Self {
         codes: [[AdcCode::ZERO; GAGES]; BLOCK],
-        off_magnitude: [false; BLOCK],
+        off_magnitude: false,
         sum: [0; GAGES],
         curvature: 0.0,
     };
 
-    /// Sums up the full block.
-    fn complete(&mut self) {
+    /// Sums up the full block, and gives the smallest change of a code from its first sample to the second or from the third
+    /// to the last: `i32::MAX` where there was none.
+    fn complete(&mut self) -> i32 {
         let [a, b, c, d] = &self.codes;
         self.curvature = 0.0;
+        let mut step = i32::MAX;
         for gage in 0..GAGES {
             let [a, b, c, d] = [a, b, c, d].map(|codes| codes[gage].counts());
             self.sum[gage] = (a + b) + (c + d);
-            let (early, late) = ((a - 2 * b + c) as f32, (b - 2 * c + d) as f32);
+            let (first, middle, last) = (b - a, c - b, d - c);
+            let (early, late) = ((middle - first) as f32, (last - middle) as f32);
             self.curvature += early * early + late * late;
+            for change in [first, last] {
+                if change != 0 {
+                    step = step.min(change.abs());
+                }
+            }
         }
+        step
     }
 
     /// ‖s − s'‖², counts².
@@ -222,22 +234,26 @@ impl<const GAGES: usize> Gate<GAGES> {
         if self.is_suspicious_repetition(codes) {
             return Verdict::Repeated;
         }
-        let meets = self.expectation.as_ref().map_or(Meets::Both, |expected| expected.judge(codes));
+        let block = &mut self.blocks[self.complete as usize % WINDOW];
+        block.codes[self.filled] = *codes;
+        self.filled += 1;
+        if self.filled < BLOCK {
+            return Verdict::Accepted;
+        }
+        self.filled = 0;
+        let step = block.complete();
+        if step < i32::MAX && (self.step == 0 || step < self.step) {
+            self.step = step;
+        }
+        let meets = self.expectation.as_ref().map_or(Meets::Both, |expected| expected.judge(&block.sum));
         if meets == Meets::Neither {
             return Verdict::Contradictory;
         }
-        let block = &mut self.blocks[self.complete as usize % WINDOW];
-        block.codes[self.filled] = *codes;
-        block.off_magnitude[self.filled] = meets != Meets::Both;
-        self.filled += 1;
-        if self.filled == BLOCK {
-            block.complete();
-            self.filled = 0;
-            let newest = self.complete;
-            self.complete = self.complete.wrapping_add(1);
-            if let Some(number) = newest.checked_sub(REACH) {
-                self.release(number, newest, take);
-            }
+        block.off_magnitude = meets != Meets::Both;
+        let newest = self.complete;
+        self.complete = self.complete.wrapping_add(1);
+        if let Some(number) = newest.checked_sub(REACH) {
+            self.release(number, newest, take);
         }
         Verdict::Accepted
     }
@@ -251,24 +267,15 @@ impl<const GAGES: usize> Gate<GAGES> {
         }
         // Too few for a block: they go with the block before.
         let last = self.complete as usize % WINDOW;
+        self.blocks[last].off_magnitude = false;
         self.hand_out(last, self.filled, take);
         (self.complete, self.filled) = (0, 0);
         (self.last, self.repeats) = (None, 0);
     }
 
     fn is_suspicious_repetition(&mut self, codes: &[AdcCode; GAGES]) -> bool {
-        let Some(last) = self.last.replace(*codes) else { return false };
-        let mut changed = false;
-        for gage in 0..GAGES {
-            let change = (codes[gage].counts() - last[gage].counts()).abs();
-            if change != 0 {
-                changed = true;
-                if self.step == 0 || change < self.step {
-                    self.step = change;
-                }
-            }
-        }
-        if changed {
+        if self.last.as_ref() != Some(codes) {
+            self.last = Some(*codes);
             self.repeats = 0;
             return false;
         }
@@ -300,13 +307,13 @@ impl<const GAGES: usize> Gate<GAGES> {
         take: &mut impl FnMut(Quietness, &[AdcCode; GAGES]),
     ) {
         let Block { codes, off_magnitude, .. } = &self.blocks[place];
-        for (codes, &off_magnitude) in codes.iter().zip(off_magnitude).take(samples) {
-            if off_magnitude && self.latest != Quietness::Fast {
-                self.off_magnitude = self.off_magnitude.saturating_add(1);
-                take(Quietness::Fast, codes);
-            } else {
-                take(self.latest, codes);
-            }
+        let mut quietness = self.latest;
+        if *off_magnitude && quietness != Quietness::Fast {
+            self.off_magnitude = self.off_magnitude.saturating_add(BLOCK_SAMPLES);
+            quietness = Quietness::Fast;
+        }
+        for codes in codes.iter().take(samples) {
+            take(quietness, codes);
         }
     }
 

@@ -78,6 +78,7 @@ pub(crate) const fn require_samples<const RANK: usize>(samples: u64) -> Result<(
 /// # Errors
 ///
 /// [`Refusal::TooFewSamples`], and every refusal of [`metric`].
+#[inline(never)]
 pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
     subspace: &Basis<GAGES, RANK>,
     all: &CodeSums<GAGES>,

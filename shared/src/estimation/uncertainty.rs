@@ -71,8 +71,14 @@ pub fn predict<const RANK: usize>(
     for_each_direction(|m: SVector<f64, RANK>, weight| {
         let excess = m.dot(&(load_noise * m)) - least_noise;
         let phi = monomials(&m);
-        spread += phi * phi.transpose() * (4.0 * excess * weight * directions.density(&m));
+        let scaled = phi * (4.0 * excess * weight * directions.density(&m));
+        for row in 0..UNKNOWNS {
+            for column in row..UNKNOWNS {
+                spread[(row, column)] += scaled[row] * phi[column];
+            }
+        }
     });
+    spread.fill_lower_triangle_with_upper_triangle();
     let inverse = Cholesky::new(normal).ok_or(undetermined)?.inverse();
     let halves = Coefficients::from_fn(|position, _| half::<RANK>(position));
     let along =
