@@ -55,9 +55,9 @@ mod app {
     const HIGHER: usize = higher_moment_count(GAGES);
 
     /// Bytes in either direction that wait for the session or for the line; the longest frame has 521.
-    const LINK_QUEUE: usize = 1024;
-    /// Stream frames that wait for the line: at 1000 samples a second, 60 ms.
-    const FRAME_QUEUE: usize = 64;
+    const LINK_QUEUE: usize = 768;
+    /// Stream frames that wait for the line: at 1000 samples a second, 30 ms.
+    const FRAME_QUEUE: usize = 32;
 
     type Store = &'static mut Bins<GAGES, HIGHER>;
     type Job = SolveJob<Store, GAGES, HIGHER>;

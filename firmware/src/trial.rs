@@ -9,7 +9,6 @@ use core::ops::DerefMut;
 
 use ftcal_shared::estimation::bins::{Bins, QuietSolution};
 use ftcal_shared::estimation::coverage;
-use ftcal_shared::estimation::expectation::Expectation;
 use ftcal_shared::estimation::gate::{BLOCK, Quietness, Verdict};
 use ftcal_shared::estimation::shape::TrialSolution;
 use ftcal_shared::refusal::Refusal;
@@ -247,17 +246,9 @@ where
     fn coverage(&mut self) -> Result<Coverage, Refusal> {
         self.store.settle();
         match self.rank {
-            2 => self.coverage_of_rank::<2>(),
-            _ => self.coverage_of_rank::<3>(),
+            2 => self.store.coverage::<2>().map(|covered| coverage_on_the_wire(&covered)),
+            _ => self.store.coverage::<3>().map(|covered| coverage_on_the_wire(&covered)),
         }
-    }
-
-    /// Where the trial stands; where that is good enough for an answer, the samples to come are compared with it.
-    fn coverage_of_rank<const RANK: usize>(&mut self) -> Result<Coverage, Refusal> {
-        if let Ok(so_far) = self.store.solve::<RANK>() {
-            self.store.expect(Expectation::new(&so_far.solution)?);
-        }
-        self.store.coverage::<RANK>().map(|covered| coverage_on_the_wire(&covered))
     }
 
     /// Solves the trial. Takes millions of instructions: not for the sample path.
@@ -281,10 +272,11 @@ where
 
     fn solve_of_rank<const RANK: usize>(&mut self) -> Result<Solution, Refusal> {
         self.left_out = LeftOut::default();
-        let QuietSolution { solution, up_to } = self.store.solve::<RANK>()?;
-        let answer = on_the_wire(&solution)?;
+        let solved = self.store.solve::<RANK>();
+        let QuietSolution { solution, up_to } = solved.as_ref().map_err(|refusal| *refusal)?;
+        let answer = on_the_wire(solution)?;
         let left_out = self.counts.taken.saturating_sub(answer.samples);
-        let off_magnitude = if up_to < Quietness::Fast { self.store.off_magnitude() } else { 0 };
+        let off_magnitude = if *up_to < Quietness::Fast { self.store.off_magnitude() } else { 0 };
         self.left_out = LeftOut { moving: left_out.saturating_sub(off_magnitude), off_magnitude };
         Ok(answer)
     }

@@ -103,13 +103,10 @@ mod target {
     fn main() -> ! {
         static mut MOMENTS: Moments<GAGES, HIGHER> = Moments::new([AdcCode::ZERO; GAGES]);
         static mut BINS: Bins<GAGES, HIGHER> = Bins::new();
-        let at_start = stack::used();
         if let Some(core) = cortex_m::Peripherals::take() {
             let counter = Counter::new(core.SYST);
-            accumulate(&counter, MOMENTS);
-            hprintln!("stack_accumulating {}", stack::used() - at_start);
             solve(&counter, BINS);
-            hprintln!("stack_solving {}", stack::used() - at_start);
+            accumulate(&counter, MOMENTS);
             debug::exit(debug::EXIT_SUCCESS);
         }
         loop {
@@ -117,6 +114,7 @@ mod target {
         }
     }
 
+    #[inline(never)]
     fn accumulate(counter: &Counter, moments: &mut Moments<GAGES, HIGHER>) {
         moments.restart(codes(0));
         let (mut sum, mut largest) = (0, 0);
@@ -134,19 +132,24 @@ mod target {
     }
 
     /// A trial with all that belongs to it: gate, sums by quietness, solution with covariance, and the gate that knows the solution.
+    #[inline(never)]
     fn solve(counter: &Counter, bins: &mut Bins<GAGES, HIGHER>) {
         for sample in 0..SAMPLES {
             let _ = bins.offer(&codes(sample));
         }
         bins.finish();
+        let depth = stack::depth();
+        hprintln!("stack_sampling {}", stack::used() - depth);
         let mut solved = None;
         let ticks = ticks(|| solved = black_box(black_box(&*bins).solve::<3>().ok()));
         hprintln!("solve {:.0}", counter.instructions(ticks));
+        hprintln!("stack_solving {}", stack::used() - depth);
         let expectation = solved.and_then(|solved| Expectation::new(&solved.solution).ok().flatten());
         assert!(expectation.is_some(), "the motion determines the shape");
         gate_and_apply(counter, expectation);
     }
 
+    #[inline(never)]
     fn gate_and_apply(counter: &Counter, expectation: Option<Expectation<GAGES>>) {
         let matrix: [f32; 6 * GAGES] = core::array::from_fn(|element| 1e-4 * element as f32);
         let Ok(calibration) =
@@ -177,6 +180,8 @@ mod target {
     mod stack {
         use core::ptr::{addr_of, read_volatile};
 
+        use cortex_m::register::msp;
+
         /// What `cortex-m-rt` paints with.
         const PAINT: u32 = 0xcccc_cccc;
 
@@ -185,6 +190,12 @@ mod target {
             static _stack_end: u32;
         }
 
+        /// How deep the stack is now.
+        pub(super) fn depth() -> usize {
+            addr_of!(_stack_start).addr() - msp::read() as usize
+        }
+
+        /// How deep it has ever been.
         pub(super) fn used() -> usize {
             let (mut at, top) = (addr_of!(_stack_end), addr_of!(_stack_start));
             // SAFETY: both symbols are the linker's, aligned to words, and all between them is memory.

@@ -81,6 +81,7 @@ pub fn basis<const GAGES: usize, const RANK: usize>(
 
 /// The basis found in the codes L⁻¹z; `None` where the channels are not known to differ, or what the redundant directions show is
 /// not their noise.
+#[inline(never)]
 fn basis_of_white_codes<const GAGES: usize, const RANK: usize>(
     covariance: &SMatrix<f64, GAGES, GAGES>,
     samples: u64,
@@ -88,26 +89,34 @@ fn basis_of_white_codes<const GAGES: usize, const RANK: usize>(
 ) -> Option<Result<Basis<GAGES, RANK>, Refusal>> {
     let at_rest = noise.variance.filter(|_| !noise.is_equal())?;
     let factor = Cholesky::new(noise.relative)?.l();
-    let halfway = factor.solve_lower_triangular(covariance)?;
-    let white = factor.solve_lower_triangular(&halfway.transpose())?;
-    let found = match basis_of_equal_channels::<GAGES, RANK>(&white, samples, noise) {
-        Ok(found) => found,
-        Err(refusal) => return Some(Err(refusal)),
-    };
+    let white = whitened(covariance, &factor)?;
+    let mut outcome = basis_of_equal_channels::<GAGES, RANK>(&white, samples, noise);
+    let Ok(found) = outcome.as_mut() else { return Some(outcome) };
     if found.noise_variance.is_some_and(|variance| variance > LARGEST_NOISE_EXCESS * at_rest) {
         return None;
     }
-    let projection = factor.transpose().solve_upper_triangular(&found.projection)?;
-    Some(symmetric_eigen(covariance).map(|eigen| Basis {
-        projection,
-        embedding: factor * found.embedding,
-        eigenvalues: eigen.values.map(|eigenvalue| eigenvalue.max(0.0)),
-        relative_noise: noise.relative,
-        ..found
-    }))
+    found.projection = factor.transpose().solve_upper_triangular(&found.projection)?;
+    found.embedding = factor * found.embedding;
+    found.relative_noise = noise.relative;
+    match symmetric_eigen(covariance) {
+        Ok(eigen) => found.eigenvalues = eigen.values.map(|eigenvalue| eigenvalue.max(0.0)),
+        Err(refusal) => return Some(Err(refusal)),
+    }
+    Some(outcome)
+}
+
+/// The covariance of L⁻¹z (p × p).
+#[inline(never)]
+fn whitened<const GAGES: usize>(
+    covariance: &SMatrix<f64, GAGES, GAGES>,
+    factor: &SMatrix<f64, GAGES, GAGES>,
+) -> Option<SMatrix<f64, GAGES, GAGES>> {
+    let halfway = factor.solve_lower_triangular(covariance)?;
+    factor.solve_lower_triangular(&halfway.transpose())
 }
 
 /// The same where R is the identity.
+#[inline(never)]
 fn basis_of_equal_channels<const GAGES: usize, const RANK: usize>(
     covariance: &SMatrix<f64, GAGES, GAGES>,
     samples: u64,

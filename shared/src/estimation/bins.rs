@@ -12,8 +12,8 @@
 //!   falls with the number of samples, it shifts the answer by an amount that does not: an acceleration a of the hand
 //!   with no preferred direction gives u = ⟨(2m·a)²⟩ = 4⟨a²⟩/3 and lengthens ⟨|m|²⟩ by ⟨a²⟩, all gains by half of that, ⅜u.
 
-use super::basis::basis;
-use super::code_sums::{CodeSums, MAX_SAMPLES};
+use super::basis::{Basis, basis};
+use super::code_sums::{CodeMean, CodeSums, MAX_SAMPLES};
 use super::coverage::{Coverage, coverage};
 use super::expectation::Expectation;
 use super::gate::{Gate, Quietness, Verdict};
@@ -123,14 +123,18 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
         self.solve_accepting(LARGEST_RELATIVE_UNCERTAINTY)
     }
 
-    /// Where the trial stands by what has been settled, finished or not.
+    /// Where the trial stands by what has been settled, finished or not. From now on samples are compared with what that
+    /// lets expect of them.
     ///
     /// # Errors
     ///
     /// Those of [`Bins::solve`]; but that the motion leaves the answer uncertain is no refusal here, as long as it says
     /// which way to turn.
-    pub fn coverage<const RANK: usize>(&self) -> Result<Coverage<RANK>, Refusal> {
-        coverage(&self.solve_accepting(ROUGHEST)?.solution)
+    pub fn coverage<const RANK: usize>(&mut self) -> Result<Coverage<RANK>, Refusal> {
+        let so_far = self.solve_accepting(ROUGHEST);
+        let QuietSolution { solution, .. } = so_far.as_ref().map_err(|refusal| *refusal)?;
+        self.gate.expect(Expectation::new(solution)?);
+        coverage(solution)
     }
 
     /// Has every further sample compared with what a solution expects of it.
@@ -143,50 +147,73 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
         self.gate.off_magnitude()
     }
 
+    #[inline(never)]
     fn solve_accepting<const RANK: usize>(
         &self,
         accepted: f64,
     ) -> Result<QuietSolution<GAGES, RANK>, Refusal> {
-        let all = self.all_codes()?;
-        require_samples::<RANK>(all.count())?;
-        let subspace = basis::<GAGES, RANK>(&all.covariance(), all.count(), &self.gate.noise())?;
-        let mut best: Option<QuietSolution<GAGES, RANK>> = None;
+        // By reference: moved out of its result, it would stand on the stack twice.
+        let found = self.subspace();
+        let (subspace, all) = found.as_ref().map_err(|refusal| *refusal)?;
+        let mut classes = Cumulative::new();
+        self.sum_up(subspace, &mut classes);
+        let mut best: Option<(f64, usize)> = None;
         let mut refusal = Refusal::NonFinite;
-        let mut quiet: Option<MotionSums<RANK>> = None;
-        for (bin, up_to) in self.by_quietness.iter().zip(Quietness::ALL) {
-            if bin.count() == 0 {
-                continue;
-            }
-            let mut sums = project(bin, &subspace.projection);
-            if let Some(quieter) = &quiet {
-                sums.add(quieter);
-            }
-            match solve_within(&subspace, &all, &sums, accepted) {
+        for (class, (sums, _)) in classes.iter().enumerate() {
+            match expected_error(subspace, all, sums, accepted) {
                 Err(cause) => refusal = cause,
-                Ok(solution) => {
-                    if best.as_ref().is_none_or(|best| error(&solution) < error(&best.solution)) {
-                        best = Some(QuietSolution { solution, up_to });
+                Ok(error) => {
+                    if best.is_none_or(|(least, _)| error < least) {
+                        best = Some((error, class));
                     }
                 }
             }
-            quiet = Some(sums);
         }
-        best.ok_or(refusal)
+        let (sums, up_to) = best.and_then(|(_, class)| classes.get(class)).ok_or(refusal)?;
+        // Once more: a solution is large, and the sensor has not the room to keep one while it makes the next.
+        Ok(QuietSolution { solution: solve_within(subspace, all, sums, accepted)?, up_to: *up_to })
     }
 
+    /// The subspace of all samples, and their mean.
     #[inline(never)]
-    fn all_codes(&self) -> Result<CodeSums<GAGES>, Refusal> {
+    fn subspace<const RANK: usize>(&self) -> Result<(Basis<GAGES, RANK>, CodeMean<GAGES>), Refusal> {
         let mut all = CodeSums::new(*self.by_quietness[0].pivot());
         for bin in &self.by_quietness {
             all.add(bin.codes())?;
         }
-        Ok(all)
+        require_samples::<RANK>(all.count())?;
+        let subspace = basis::<GAGES, RANK>(&all.covariance(), all.count(), &self.gate.noise())?;
+        Ok((subspace, all.mean()))
+    }
+
+    /// The sums in the subspace, of the quietest class, of the two quietest, and so on; a class of no samples is left out.
+    #[inline(never)]
+    fn sum_up<const RANK: usize>(&self, subspace: &Basis<GAGES, RANK>, classes: &mut Cumulative<RANK>) {
+        for (bin, up_to) in self.by_quietness.iter().zip(Quietness::ALL) {
+            if bin.count() > 0 {
+                let mut sums = project(bin, &subspace.projection);
+                if let Some((quieter, _)) = classes.last() {
+                    sums.add(quieter);
+                }
+                classes.extend([(sums, up_to)]);
+            }
+        }
     }
 }
 
-/// The error ε of the worst coefficient that is to be expected of a solution; see above.
-fn error<const GAGES: usize, const RANK: usize>(solution: &TrialSolution<GAGES, RANK>) -> f64 {
-    libm::hypot(solution.uncertainty.worst_relative(), SHIFT_OVER_UNEXPLAINED * solution.unexplained)
+/// Sums of the motion, each with the most restless class in it.
+type Cumulative<const RANK: usize> = heapless::Vec<(MotionSums<RANK>, Quietness), { Quietness::ALL.len() }>;
+
+/// The error ε of the worst coefficient that is to be expected of the solution from these sums; see above.
+#[inline(never)]
+fn expected_error<const GAGES: usize, const RANK: usize>(
+    subspace: &Basis<GAGES, RANK>,
+    all: &CodeMean<GAGES>,
+    quiet: &MotionSums<RANK>,
+    accepted: f64,
+) -> Result<f64, Refusal> {
+    let solution = solve_within(subspace, all, quiet, accepted)?;
+    Ok(libm::hypot(solution.uncertainty.worst_relative(), SHIFT_OVER_UNEXPLAINED * solution.unexplained))
 }
 
 fn push<const GAGES: usize, const HIGHER: usize>(

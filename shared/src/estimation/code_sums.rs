@@ -24,6 +24,17 @@ pub struct CodeSums<const GAGES: usize> {
     pub(super) gram: [[i128; GAGES]; GAGES],
 }
 
+/// The mean of codes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CodeMean<const GAGES: usize> {
+    /// The number of samples.
+    pub samples: u64,
+    /// As a difference from the pivot, counts.
+    pub from_pivot: SVector<f64, GAGES>,
+    /// As codes, counts.
+    pub counts: SVector<f64, GAGES>,
+}
+
 impl<const GAGES: usize> CodeSums<GAGES> {
     /// Of no samples, about `pivot`.
     pub const fn new(pivot: [AdcCode; GAGES]) -> Self {
@@ -58,14 +69,11 @@ impl<const GAGES: usize> CodeSums<GAGES> {
         Ok(())
     }
 
-    /// The mean of the codes, counts.
-    pub fn mean_counts(&self) -> SVector<f64, GAGES> {
-        SVector::from_fn(|i, _| f64::from(self.pivot[i].counts())) + self.mean_difference()
-    }
-
-    /// The mean difference from the pivot, counts.
-    pub fn mean_difference(&self) -> SVector<f64, GAGES> {
-        SVector::from_fn(|i, _| self.sum[i] as f64 / self.divisor())
+    /// The mean of the codes.
+    pub fn mean(&self) -> CodeMean<GAGES> {
+        let from_pivot = SVector::from_fn(|i, _| self.sum[i] as f64 / self.divisor());
+        let counts = SVector::from_fn(|i, _| f64::from(self.pivot[i].counts())) + from_pivot;
+        CodeMean { samples: self.count, from_pivot, counts }
     }
 
     /// The covariance of the codes (divisor n), counts².

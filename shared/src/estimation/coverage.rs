@@ -61,6 +61,7 @@ pub struct GageTarget {
 /// # Errors
 ///
 /// [`Refusal::MotionDoesNotSpan`] where the directions do not determine the constraint.
+#[inline(never)]
 pub fn coverage<const GAGES: usize, const RANK: usize>(
     solution: &TrialSolution<GAGES, RANK>,
 ) -> Result<Coverage<RANK>, Refusal> {

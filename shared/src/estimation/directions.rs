@@ -40,9 +40,20 @@ impl<const RANK: usize> DirectionMoments<RANK> {
         SMatrix::from_fn(|a, b| self.higher.second[a][b])
     }
 
-    /// The density of m at direction `at`, relative to the uniform one; no less than zero.
-    pub fn density(&self, at: &SVector<f64, RANK>) -> f64 {
-        zonal_sum::<RANK>(self.powers(at)).max(0.0)
+    /// The density of m on the unit sphere or circle.
+    pub fn density(&self) -> Density<RANK> {
+        let single = |element: f64| {
+            #[expect(clippy::cast_possible_truncation, reason = "a density needs five digits")]
+            let element = element as f32;
+            element
+        };
+        let MotionMoments { second, third, fourth } = &self.higher;
+        Density {
+            first: core::array::from_fn(|a| single(self.first[a])),
+            second: second.map(|row| row.map(single)),
+            third: third.map(|rows| rows.map(|row| row.map(single))),
+            fourth: fourth.map(|blocks| blocks.map(|rows| rows.map(|row| row.map(single)))),
+        }
     }
 
     /// The mean square of the density over the sphere or circle: 1 for directions all over, 1/A for directions all over a
@@ -63,21 +74,41 @@ impl<const RANK: usize> DirectionMoments<RANK> {
                 }
             }
         }
-        zonal_sum::<RANK>(norms)
+        #[expect(clippy::cast_possible_truncation, reason = "a share needs five digits")]
+        let norms = norms.map(|norm| norm as f32);
+        f64::from(zonal_sum::<RANK>(norms))
+    }
+}
+
+/// The density of the load's directions, relative to the uniform one. In single precision, which the sensor has in hardware: it is
+/// asked for many directions.
+#[derive(Clone, Debug)]
+pub struct Density<const RANK: usize> {
+    first: [f32; RANK],
+    second: [[f32; RANK]; RANK],
+    third: [[[f32; RANK]; RANK]; RANK],
+    fourth: [[[[f32; RANK]; RANK]; RANK]; RANK],
+}
+
+impl<const RANK: usize> Density<RANK> {
+    /// The density at a direction; no less than zero.
+    pub fn at(&self, direction: &SVector<f32, RANK>) -> f32 {
+        zonal_sum::<RANK>(self.powers(direction)).max(0.0)
     }
 
     /// ⟨(q·m)ᵏ⟩ for k = 1 … 4. The tensors are symmetric, so that each element stands for all orders of its indices.
-    fn powers(&self, q: &SVector<f64, RANK>) -> [f64; 4] {
-        let mut powers = [self.first.dot(q), 0.0, 0.0, 0.0];
+    fn powers(&self, q: &SVector<f32, RANK>) -> [f32; 4] {
+        let mut powers = [0.0; 4];
         for a in 0..RANK {
+            powers[0] += q[a] * self.first[a];
             for b in a..RANK {
                 let ab = q[a] * q[b];
-                powers[1] += orders(&[a, b]) * ab * self.higher.second[a][b];
+                powers[1] += orders(&[a, b]) * ab * self.second[a][b];
                 for c in b..RANK {
                     let abc = ab * q[c];
-                    powers[2] += orders(&[a, b, c]) * abc * self.higher.third[a][b][c];
+                    powers[2] += orders(&[a, b, c]) * abc * self.third[a][b][c];
                     for d in c..RANK {
-                        powers[3] += orders(&[a, b, c, d]) * abc * q[d] * self.higher.fourth[a][b][c][d];
+                        powers[3] += orders(&[a, b, c, d]) * abc * q[d] * self.fourth[a][b][c][d];
                     }
                 }
             }
@@ -87,18 +118,18 @@ impl<const RANK: usize> DirectionMoments<RANK> {
 }
 
 /// In how many orders these ascending indices can be put.
-fn orders(ascending: &[usize]) -> f64 {
+fn orders(ascending: &[usize]) -> f32 {
     let (mut orders, mut run, mut last) = (1.0, 0.0, usize::MAX);
     for (position, &index) in ascending.iter().enumerate() {
         run = if index == last { run + 1.0 } else { 1.0 };
-        orders *= (position as f64 + 1.0) / run;
+        orders *= (position as f32 + 1.0) / run;
         last = index;
     }
     orders
 }
 
 /// Σ (2l + 1) Pₗ(t) in space, 1 + 2 Σ Tₗ(t) in the plane, l up to four, of the mean powers ⟨t⟩ … ⟨t⁴⟩.
-fn zonal_sum<const RANK: usize>([t1, t2, t3, t4]: [f64; 4]) -> f64 {
+fn zonal_sum<const RANK: usize>([t1, t2, t3, t4]: [f32; 4]) -> f32 {
     if RANK == 2 {
         1.0 + 2.0 * (t1 + (2.0 * t2 - 1.0) + (4.0 * t3 - 3.0 * t1) + (8.0 * t4 - 8.0 * t2 + 1.0))
     } else {

@@ -22,9 +22,10 @@ pub const LARGEST_RELATIVE_UNCERTAINTY: f64 = 0.1;
 /// twice what a hand that never rests does to it.
 const LARGEST_SCATTER: f64 = 0.1;
 
-/// The least eigenvalue of the normal matrix that is not rounding: whitened coordinates are of order one, and the
-/// moments of degree four carry relative errors up to 10⁻⁶.
-const LEAST_NORMAL_EIGENVALUE: f64 = 1e-5;
+/// The largest trace of the inverse of the normal matrix that is not rounding: whitened coordinates are of order one, and the
+/// moments of degree four carry relative errors up to 10⁻⁶. The trace lies between one and nine times the inverse of the
+/// least eigenvalue.
+const LARGEST_INVERSE_TRACE: f64 = 1e5;
 
 /// The ellipsoid (x − c)ᵀ M (x − c) = 1 of the motion in whitened coordinates.
 #[derive(Clone, Debug)]
@@ -48,21 +49,16 @@ pub struct Metric<const RANK: usize> {
 /// [`Refusal::NonFinite`]; [`Refusal::MotionDoesNotSpan`] where the directions of the load do not determine every
 /// coefficient; [`Refusal::MetricNotPositiveDefinite`] where the surface is no ellipsoid;
 /// [`Refusal::MagnitudeNotConstant`] where the motion does not lie on it.
+#[inline(never)]
 pub fn metric<const RANK: usize>(
     moments: &MotionMoments<RANK>,
     noise: &SVector<f64, RANK>,
     samples: u64,
     accepted: f64,
 ) -> Result<Metric<RANK>, Refusal> {
-    let free = moments.without_noise(noise);
-    let normal = normal_matrix(&free);
-    let right = means(&free);
-    let eigen = symmetric_eigen(&normal)?;
-    if eigen.values.min() < LEAST_NORMAL_EIGENVALUE {
-        return Err(does_not_span(f64::INFINITY));
-    }
-    let factor = Cholesky::new(normal).ok_or_else(|| does_not_span(f64::INFINITY))?;
-    let solution = factor.solve(&right);
+    let Equations { normal: mut covariance, right, second } = equations(moments, noise);
+    invert(&mut covariance)?;
+    let solution = covariance * right;
 
     let quadratic = SMatrix::from_fn(|a, b| {
         let element = solution[product_position::<RANK>(a, b)];
@@ -73,9 +69,8 @@ pub fn metric<const RANK: usize>(
     // What the constraint leaves unexplained, and the noise, which the moments have been freed of: to first order it
     // moves xᵀQx + gᵀx by its product with the gradient 2Qx + g.
     let unexplained = (1.0 - solution.dot(&right)).max(0.0);
-    let second = SMatrix::<f64, RANK, RANK>::from_fn(|a, b| free.second[a][b]);
     let squared_gradient = (quadratic * second * quadratic * 4.0).diagonal() + linear.component_mul(&linear);
-    let covariance = factor.inverse() * ((unexplained + squared_gradient.dot(noise)) / samples.max(1) as f64);
+    covariance *= (unexplained + squared_gradient.dot(noise)) / samples.max(1) as f64;
     require_determined::<RANK>(&quadratic, &covariance, accepted)?;
 
     let quadratic_factor = Cholesky::new(quadratic).ok_or(Refusal::MetricNotPositiveDefinite)?;
@@ -90,6 +85,40 @@ pub fn metric<const RANK: usize>(
         return Err(Refusal::MagnitudeNotConstant { scatter: scatter as f32, limit: LARGEST_SCATTER as f32 });
     }
     Ok(Metric { matrix: quadratic / level, centre, unexplained })
+}
+
+/// The normal equations of the constraint.
+struct Equations<const RANK: usize> {
+    /// ⟨φφᵀ⟩, of moments free of noise.
+    normal: SMatrix<f64, UNKNOWNS, UNKNOWNS>,
+    /// ⟨φ⟩.
+    right: Coefficients,
+    /// ⟨xxᵀ⟩.
+    second: SMatrix<f64, RANK, RANK>,
+}
+
+/// Sets the equations up. Never inlined: the moments that it takes are large, and the sensor's stack is not.
+#[inline(never)]
+fn equations<const RANK: usize>(
+    moments: &MotionMoments<RANK>,
+    noise: &SVector<f64, RANK>,
+) -> Equations<RANK> {
+    let free = moments.without_noise(&SMatrix::from_diagonal(noise));
+    Equations {
+        normal: normal_matrix(&free),
+        right: means(&free),
+        second: SMatrix::from_fn(|a, b| free.second[a][b]),
+    }
+}
+
+/// Replaces a normal matrix by its inverse.
+#[inline(never)]
+fn invert(normal: &mut SMatrix<f64, UNKNOWNS, UNKNOWNS>) -> Result<(), Refusal> {
+    if normal.iter().any(|element| !element.is_finite()) {
+        return Err(Refusal::NonFinite);
+    }
+    *normal = Cholesky::new(*normal).ok_or_else(|| does_not_span(f64::INFINITY))?.inverse();
+    if normal.trace() > LARGEST_INVERSE_TRACE { Err(does_not_span(f64::INFINITY)) } else { Ok(()) }
 }
 
 /// Where nothing redundant tells the noise (p = r), the answer must not hinge on it.

@@ -10,10 +10,11 @@
 //!   the redundant eigenvalues that measure it must survive. A difference of two 24-bit codes has 25 bits, a product
 //!   at most 2⁴⁸; a block of 8192 products stays within 2⁶¹ in an `i64`, and blocks add up in an `i128`.
 //! * Sums of degree 3 and 4 need a relative accuracy of 10⁻⁶ only, times the fourth power of how far from round the
-//!   shape is. They are added in `f32`, with compensation for what each addition rounds away (Kahan), and in `f64`
-//!   across blocks: the error of a compensated sum does not grow with the 1024 batches of a block (Kahan's bound is
-//!   2u + O(N u²), u = 2⁻²⁴, so that the second term is 10⁻⁴ of the first). What remains is the rounding of the products themselves, about 5·10⁻⁸ of a batch and independent
-//!   from batch to batch: 5·10⁻⁸/√(n/8) of the sum.
+//!   shape is. They are added in `f32`, the only floating point that the sensor has in hardware, with compensation for
+//!   what each addition rounds away (Kahan): the error of such a sum is 2u + O(N u²) of the sum of the magnitudes,
+//!   u = 2⁻²⁴, so that the second term stays below 10⁻⁶ for N = 2²⁸ batches. What remains is the rounding of the products
+//!   themselves, about 5·10⁻⁸ of a batch and independent from batch to batch: 5·10⁻⁸/√(n/8) of the sum. The differences
+//!   are taken in units of 2¹² counts, so that the largest sum that can come about, 2³² fourth powers of 25 bits, has 84.
 //!
 //! # Speed
 //!
@@ -34,8 +35,10 @@ use crate::units::{AdcCode, MAX_GAGES};
 /// Samples absorbed at once.
 pub const BATCH: usize = 8;
 
-/// Samples added up in `f32` and `i64` before they are spilled into `f64` and `i128`. The sensor has no `f64` in
-/// hardware, so that a spill costs as much as 50 samples; at this length it is a trifle.
+/// The unit of the differences in single precision, counts: a power of two, which rounds nothing.
+pub(super) const UNIT: f32 = 4096.0;
+
+/// Samples whose products are added up in `i64` before they are spilled into `i128`.
 pub const BLOCK: usize = 8192;
 
 /// The same in batches.
@@ -56,18 +59,17 @@ pub const fn higher_moment_count(gages: usize) -> usize {
 #[derive(Clone, Debug)]
 pub struct Moments<const GAGES: usize, const HIGHER: usize> {
     codes: CodeSums<GAGES>,
-    /// Σ ΔᵢΔⱼΔₖ and Σ ΔᵢΔⱼΔₖΔₗ for i ≤ j ≤ k ≤ l, in the order of `for_each_higher_monomial`.
-    higher: [f64; HIGHER],
-    block: Block<GAGES, HIGHER>,
+    /// Σ ΔᵢΔⱼΔₖ and Σ ΔᵢΔⱼΔₖΔₗ for i ≤ j ≤ k ≤ l, in the order of `for_each_higher_monomial`, with Δ in [`UNIT`]s.
+    higher: [Compensated; HIGHER],
+    block: Block<GAGES>,
     batch: Batch<GAGES>,
 }
 
-/// The sums since the last spill.
+/// The products since the last spill.
 #[derive(Clone, Debug)]
-struct Block<const GAGES: usize, const HIGHER: usize> {
+struct Block<const GAGES: usize> {
     batches: u16,
     gram: [[i64; GAGES]; GAGES],
-    higher: [Compensated; HIGHER],
 }
 
 /// The samples since the last absorption, as differences from the pivot, channel by channel.
@@ -75,7 +77,8 @@ struct Block<const GAGES: usize, const HIGHER: usize> {
 struct Batch<const GAGES: usize> {
     samples: usize,
     difference: [[i32; BATCH]; GAGES],
-    /// The same in single precision. At most 25 bits: rounded by 2⁻²⁵ of its value, far below what degree 3 and 4 need.
+    /// The same in single precision, in [`UNIT`]s. At most 25 bits: rounded by 2⁻²⁵ of its value, far below what degree 3
+    /// and 4 need.
     rounded: [[f32; BATCH]; GAGES],
 }
 
@@ -100,8 +103,8 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
         let () = Self::DIMENSIONS_AGREE;
         Self {
             codes: CodeSums::new(pivot),
-            higher: [0.0; HIGHER],
-            block: Block { batches: 0, gram: [[0; GAGES]; GAGES], higher: [Compensated::ZERO; HIGHER] },
+            higher: [Compensated::ZERO; HIGHER],
+            block: Block { batches: 0, gram: [[0; GAGES]; GAGES] },
             batch: Batch::EMPTY,
         }
     }
@@ -109,10 +112,9 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
     /// Empties the accumulator in place and moves it to a new pivot.
     pub fn restart(&mut self, pivot: [AdcCode; GAGES]) {
         self.codes = CodeSums::new(pivot);
-        self.higher = [0.0; HIGHER];
+        self.higher = [Compensated::ZERO; HIGHER];
         self.block.batches = 0;
         self.block.gram = [[0; GAGES]; GAGES];
-        self.block.higher = [Compensated::ZERO; HIGHER];
         self.batch = Batch::EMPTY;
     }
 
@@ -139,7 +141,7 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
         for gage in 0..GAGES {
             let difference = codes[gage].counts() - self.codes.pivot[gage].counts();
             self.batch.difference[gage][slot] = difference;
-            self.batch.rounded[gage][slot] = difference as f32;
+            self.batch.rounded[gage][slot] = difference as f32 * (1.0 / UNIT);
         }
         self.codes.count += 1;
         self.batch.samples += 1;
@@ -161,7 +163,7 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
         self.settle();
         self.codes.add(&other.codes)?;
         for (mine, theirs) in self.higher.iter_mut().zip(&other.higher) {
-            *mine += theirs;
+            mine.join(*theirs);
         }
         Ok(())
     }
@@ -181,8 +183,8 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
         &self.codes
     }
 
-    /// The sums of degree 3 and 4, in the order of `for_each_higher_monomial`. Settle first.
-    pub(crate) const fn higher_sums(&self) -> &[f64; HIGHER] {
+    /// The sums of degree 3 and 4, in the order of `for_each_higher_monomial` and in powers of [`UNIT`]. Settle first.
+    pub(super) const fn higher_sums(&self) -> &[Compensated; HIGHER] {
         &self.higher
     }
 
@@ -200,7 +202,7 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
                 self.block.gram[i][j] += products;
             }
         }
-        add_higher_monomials(&self.batch.rounded, &mut self.block.higher);
+        add_higher_monomials(&self.batch.rounded, &mut self.higher);
 
         self.batch.samples = 0;
         self.block.batches += 1;
@@ -216,17 +218,13 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
                 self.block.gram[i][j] = 0;
             }
         }
-        for (sum, partial) in self.higher.iter_mut().zip(&mut self.block.higher) {
-            *sum += partial.value();
-            *partial = Compensated::ZERO;
-        }
         self.block.batches = 0;
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{Moments, higher_moment_count};
+    use super::{Moments, UNIT, higher_moment_count};
     use crate::estimation::monomials::{HigherMonomial, for_each_higher_monomial};
     use crate::refusal::Refusal;
     use crate::units::AdcCode;
@@ -264,7 +262,7 @@ mod tests {
         }
         moments.settle();
         assert_eq!(moments.codes().covariance()[(0, 0)], 0.25);
-        assert_eq!(moments.codes().mean_counts()[0], 4_000_000.5);
+        assert_eq!(moments.codes().mean().counts[0], 4_000_000.5);
     }
 
     #[test]
@@ -284,9 +282,13 @@ mod tests {
                     HigherMonomial::Quartic(index) => index.map(|i| sample[i]).iter().product::<i32>(),
                 })
                 .sum();
-            assert_eq!(sums.next().copied(), Some(f64::from(expected)));
+            let unit = f64::from(UNIT).powi(match monomial {
+                HigherMonomial::Cubic(_) => 3,
+                HigherMonomial::Quartic(_) => 4,
+            });
+            assert_eq!(sums.next().map(|sum| sum.value() * unit), Some(f64::from(expected)));
         });
-        assert_eq!(sums.next(), None);
+        assert!(sums.next().is_none());
     }
 
     #[test]

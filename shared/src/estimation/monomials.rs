@@ -27,6 +27,12 @@ impl Compensated {
         self.sum = sum;
     }
 
+    /// Adds another such sum.
+    pub(super) fn join(&mut self, other: Self) {
+        self.add(other.sum);
+        self.add(-other.excess);
+    }
+
     pub(super) fn value(self) -> f64 {
         f64::from(self.sum) - f64::from(self.excess)
     }

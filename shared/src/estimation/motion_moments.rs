@@ -55,6 +55,7 @@ impl<const RANK: usize> MotionMoments<RANK> {
 
     /// The moments of B y, from those of y.
     #[must_use]
+    #[inline(never)]
     pub fn transformed(&self, matrix: &SMatrix<f64, RANK, RANK>) -> Self {
         let second = SMatrix::<f64, RANK, RANK>::from_fn(|a, b| self.second[a][b]);
         let second = matrix * second * matrix.transpose();
@@ -69,19 +70,20 @@ impl<const RANK: usize> MotionMoments<RANK> {
         transformed
     }
 
-    /// The moments of y less its noise, where every coordinate carries independent Gaussian noise of this variance
+    /// The moments of y less its noise, where the coordinates carry Gaussian noise of this covariance ν (r × r)
     /// (Kukush, Markovsky, Van Huffel, *Consistent estimation in an implicit quadratic measurement error model*):
     ///
     /// ```text
-    /// ⟨yₐy_b⟩       less δ_ab νₐ
+    /// ⟨yₐy_b⟩       less ν_ab
     /// ⟨yₐy_by_c⟩    as it is, about the mean
-    /// ⟨yₐy_by_cy_d⟩ less Σ₆ δ_ab νₐ ⟨y_cy_d⟩, plus Σ₃ δ_ab νₐ δ_cd ν_c
+    /// ⟨yₐy_by_cy_d⟩ less Σ₆ ν_ab ⟨y_cy_d⟩, plus Σ₃ ν_ab ν_cd
     /// ```
     ///
     /// (sums over the ways to pair the indices).
     #[must_use]
-    pub fn without_noise(&self, variance: &SVector<f64, RANK>) -> Self {
-        let nu = |a: usize, b: usize| if a == b { variance[a] } else { 0.0 };
+    #[inline(never)]
+    pub fn without_noise(&self, noise: &SMatrix<f64, RANK, RANK>) -> Self {
+        let nu = |a: usize, b: usize| noise[(a, b)];
         let second = &self.second;
         let mut free = self.clone();
         for a in 0..RANK {

@@ -7,9 +7,13 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use super::moments::Moments;
+use super::moments::{Moments, UNIT};
 use super::monomials::{HigherMonomial, for_each_higher_monomial};
 use super::motion_moments::{Fourth, MotionMoments, Third, rows};
+
+/// Powers of the unit of the sums of degree 3 and 4.
+const CUBED_UNIT: f64 = (UNIT * UNIT * UNIT) as f64;
+const FOURTH_POWER_OF_UNIT: f64 = CUBED_UNIT * UNIT as f64;
 
 /// Sums over the samples of the motion's r coordinates y, about the pivot of the codes; every index order is filled in.
 #[derive(Clone, Debug)]
@@ -128,9 +132,10 @@ fn take_from_sums<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
     triples.as_flattened_mut().as_flattened_mut().fill(0.0);
     let mut sums = moments.higher_sums().iter();
     for_each_higher_monomial(GAGES, |monomial| {
-        let Some(&sum) = sums.next() else { return };
+        let Some(sum) = sums.next().map(|sum| sum.value()) else { return };
         match monomial {
             HigherMonomial::Cubic([i, j, k]) => {
+                let sum = sum * CUBED_UNIT;
                 pairs[j][k] += basis[(i, axis)] * sum;
                 if j != i {
                     pairs[i][k] += basis[(j, axis)] * sum;
@@ -140,6 +145,7 @@ fn take_from_sums<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
                 }
             }
             HigherMonomial::Quartic([i, j, k, l]) => {
+                let sum = sum * FOURTH_POWER_OF_UNIT;
                 triples[j][k][l] += basis[(i, axis)] * sum;
                 if j != i {
                     triples[i][k][l] += basis[(j, axis)] * sum;
@@ -251,7 +257,7 @@ mod tests {
         );
         let projected = project(&moments, &basis).central();
 
-        let mean = moments.codes().mean_counts();
+        let mean = moments.codes().mean().counts;
         let motion: [SVector<f64, 3>; 7] =
             samples.map(|sample| basis.transpose() * (SVector::from_fn(|i, _| f64::from(sample[i])) - mean));
         let expectation = |indices: &[usize]| {

@@ -3,7 +3,7 @@
 //! At rank 3 there are six products and three linear terms; at rank 2 three and two, and the rest of every system is the
 //! identity, so that one size serves both.
 
-use nalgebra::{SMatrix, SVector};
+use nalgebra::{RealField, SMatrix, SVector};
 
 use super::motion_moments::MotionMoments;
 
@@ -25,8 +25,10 @@ pub(super) const fn linear_position<const RANK: usize>(a: usize) -> usize {
 }
 
 /// φ(x): every product and every linear term at one point.
-pub(super) fn monomials<const RANK: usize>(x: &SVector<f64, RANK>) -> Coefficients {
-    let mut phi = Coefficients::zeros();
+pub(super) fn monomials<Number: RealField + Copy, const RANK: usize>(
+    x: &SVector<Number, RANK>,
+) -> SVector<Number, UNKNOWNS> {
+    let mut phi = SVector::<Number, UNKNOWNS>::zeros();
     for a in 0..RANK {
         for b in a..RANK {
             phi[product_position::<RANK>(a, b)] = x[a] * x[b];

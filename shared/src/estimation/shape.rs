@@ -3,10 +3,10 @@
 use nalgebra::{Cholesky, SMatrix, SVector};
 
 use super::basis::{Basis, basis};
-use super::code_sums::CodeSums;
+use super::code_sums::CodeMean;
 use super::directions::DirectionMoments;
 use super::eigen::symmetric_eigen;
-use super::metric::{LARGEST_RELATIVE_UNCERTAINTY, metric, require_indifference_to_noise};
+use super::metric::{LARGEST_RELATIVE_UNCERTAINTY, Metric, metric, require_indifference_to_noise};
 use super::moments::Moments;
 use super::projection::{MotionSums, project};
 use super::rest_noise::ChannelNoise;
@@ -61,7 +61,7 @@ pub fn solve_trial<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
     let noise = ChannelNoise::unknown(1);
     let subspace = basis::<GAGES, RANK>(&moments.codes().covariance(), moments.count(), &noise)?;
     let quiet = project(moments, &subspace.projection);
-    solve_within(&subspace, moments.codes(), &quiet, LARGEST_RELATIVE_UNCERTAINTY)
+    solve_within(&subspace, &moments.codes().mean(), &quiet, LARGEST_RELATIVE_UNCERTAINTY)
 }
 
 /// A trial of an unknown rank, or of too few samples, is refused.
@@ -72,8 +72,8 @@ pub(crate) const fn require_samples<const RANK: usize>(samples: u64) -> Result<(
     Ok(())
 }
 
-/// Solves one trial within the subspace that `all` of its samples have given; the metric constraint is taken from the
-/// `quiet` ones among them, as projected onto that subspace. For `accepted` see [`metric`].
+/// Solves one trial within the subspace that `all` of its samples, of which this is the mean, have given; the metric
+/// constraint is taken from the `quiet` ones among them, as projected onto that subspace. For `accepted` see [`metric`].
 ///
 /// # Errors
 ///
@@ -81,7 +81,7 @@ pub(crate) const fn require_samples<const RANK: usize>(samples: u64) -> Result<(
 #[inline(never)]
 pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
     subspace: &Basis<GAGES, RANK>,
-    all: &CodeSums<GAGES>,
+    all: &CodeMean<GAGES>,
     quiet: &MotionSums<RANK>,
     accepted: f64,
 ) -> Result<TrialSolution<GAGES, RANK>, Refusal> {
@@ -94,11 +94,7 @@ pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
     // Where nothing tells the noise, there is at least the rounding.
     let noise = noise_variance.unwrap_or(rounding);
     let whitened_noise = variances.map(|variance| noise / variance);
-    let whitened = quiet.central().transformed(&whitening);
-    let metric = metric(&whitened, &whitened_noise, samples, accepted)?;
-    if noise_variance.is_none() {
-        require_indifference_to_noise(&whitened, &variances, &metric, samples, accepted)?;
-    }
+    let metric = constraint(subspace, quiet, &whitening, &whitened_noise, accepted)?;
 
     // M = LLᵀ makes m = Lᵀ(x − c) a unit vector, so z = b + VΛ^½L⁻ᵀm, V being the embedding: A = L⁻¹ in eq. 11, with
     // Ŝ = Λ^½Vᵀ.
@@ -111,22 +107,22 @@ pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
     let orientation = principal.vectors.transpose();
     let shape_counts_per_load = orientation * shape;
     // Across the subspace there is but the bias, and every sample tells it.
-    let quiet_from_all = quiet.mean() - projection.transpose() * all.mean_difference();
+    let quiet_from_all = quiet.mean() - projection.transpose() * all.from_pivot;
     let bias_counts =
-        all.mean_counts() + embedding * quiet_from_all + indeterminate_shape.transpose() * metric.centre;
+        all.counts + embedding * quiet_from_all + indeterminate_shape.transpose() * metric.centre;
 
     let to_direction = orientation * factor.l().transpose();
-    let central = whitened.without_noise(&whitened_noise).transformed(&to_direction);
-    let directions = DirectionMoments::new(to_direction * -metric.centre, &central);
+    let load_noise = to_direction * SMatrix::from_diagonal(&whitened_noise) * to_direction.transpose();
+    let directions =
+        directions(quiet, &(to_direction * whitening), &(to_direction * -metric.centre), &load_noise);
     let mean_of_all = to_direction * (-metric.centre - whitening * quiet_from_all);
     let free_of_noise = SMatrix::<f64, RANK, RANK>::identity() - SMatrix::from_diagonal(&whitened_noise);
     let regressors = Regressors {
         mean: mean_of_all,
         second: to_direction * free_of_noise * to_direction.transpose()
             + mean_of_all * mean_of_all.transpose(),
-        samples: all.count(),
+        samples: all.samples,
     };
-    let load_noise = to_direction * SMatrix::from_diagonal(&whitened_noise) * to_direction.transpose();
     let uncertainty = predict(&directions, &regressors, &load_noise, noise, metric.unexplained, samples)?;
 
     if shape_counts_per_load.iter().chain(bias_counts.iter()).any(|element| !element.is_finite()) {
@@ -145,4 +141,35 @@ pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
         directions,
         uncertainty,
     })
+}
+
+/// The metric constraint in whitened coordinates. Never inlined, nor is [`directions`]: moments up to degree four are large, and the
+/// sensor's stack is not.
+#[inline(never)]
+fn constraint<const GAGES: usize, const RANK: usize>(
+    subspace: &Basis<GAGES, RANK>,
+    quiet: &MotionSums<RANK>,
+    whitening: &SMatrix<f64, RANK, RANK>,
+    whitened_noise: &SVector<f64, RANK>,
+    accepted: f64,
+) -> Result<Metric<RANK>, Refusal> {
+    let whitened = quiet.central().transformed(whitening);
+    let metric = metric(&whitened, whitened_noise, quiet.samples(), accepted)?;
+    if subspace.noise_variance.is_none() {
+        require_indifference_to_noise(&whitened, &subspace.variances, &metric, quiet.samples(), accepted)?;
+    }
+    Ok(metric)
+}
+
+/// Where the load has been: `to_direction` (r × r) takes the coordinates of the motion to directions, `mean` is their mean
+/// and `noise` the covariance of their noise.
+#[inline(never)]
+fn directions<const RANK: usize>(
+    quiet: &MotionSums<RANK>,
+    to_direction: &SMatrix<f64, RANK, RANK>,
+    mean: &SVector<f64, RANK>,
+    noise: &SMatrix<f64, RANK, RANK>,
+) -> DirectionMoments<RANK> {
+    let central = quiet.central().transformed(to_direction).without_noise(noise);
+    DirectionMoments::new(*mean, &central)
 }

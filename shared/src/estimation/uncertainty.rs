@@ -53,6 +53,7 @@ pub struct Regressors<const RANK: usize> {
 /// # Errors
 ///
 /// [`Refusal::MotionDoesNotSpan`] where the directions do not determine the answer.
+#[inline(never)]
 pub fn predict<const RANK: usize>(
     directions: &DirectionMoments<RANK>,
     regressors: &Regressors<RANK>,
@@ -65,24 +66,18 @@ pub fn predict<const RANK: usize>(
     let least_noise = symmetric_eigen(load_noise)?.values.min();
     let constant = 4.0 * least_noise + 2.0 * load_noise.norm_squared() + unexplained;
 
-    // Ψ, and E[φφᵀ v] with the constant part of v exactly and the rest over the directions.
+    // Ψ, and ⟨φφᵀ v⟩ with the constant part of v exactly and the rest over the directions.
     let normal = normal_matrix(&directions.higher);
-    let mut spread = normal * constant;
-    for_each_direction(|m: SVector<f64, RANK>, weight| {
-        let excess = m.dot(&(load_noise * m)) - least_noise;
-        let phi = monomials(&m);
-        let scaled = phi * (4.0 * excess * weight * directions.density(&m));
-        for row in 0..UNKNOWNS {
-            for column in row..UNKNOWNS {
-                spread[(row, column)] += scaled[row] * phi[column];
-            }
+    let excess = *load_noise - SMatrix::identity() * least_noise;
+    let mut spread = spread_over_directions(directions, &(excess * 4.0));
+    spread += normal * constant;
+    let mut along = Cholesky::new(normal).ok_or(undetermined)?.inverse();
+    along = along * spread * along;
+    for row in 0..UNKNOWNS {
+        for column in 0..UNKNOWNS {
+            along[(row, column)] *= half::<RANK>(row) * half::<RANK>(column) / samples.max(1) as f64;
         }
-    });
-    spread.fill_lower_triangle_with_upper_triangle();
-    let inverse = Cholesky::new(normal).ok_or(undetermined)?.inverse();
-    let halves = Coefficients::from_fn(|position, _| half::<RANK>(position));
-    let along =
-        (inverse * spread * inverse / samples.max(1) as f64).component_mul(&(halves * halves.transpose()));
+    }
 
     let mut regression = SMatrix::<f64, REGRESSORS, REGRESSORS>::identity();
     for a in 0..RANK {
@@ -99,6 +94,34 @@ pub fn predict<const RANK: usize>(
     } else {
         Err(Refusal::NonFinite)
     }
+}
+
+/// ⟨φφᵀ mᵀDm⟩ over the directions m of the load. In single precision: it is a sum over many directions, of a density that is no
+/// better.
+#[inline(never)]
+fn spread_over_directions<const RANK: usize>(
+    directions: &DirectionMoments<RANK>,
+    noise: &SMatrix<f64, RANK, RANK>,
+) -> SMatrix<f64, UNKNOWNS, UNKNOWNS> {
+    let density = directions.density();
+    // Brought to order one, far from what single precision underflows at.
+    let scale = noise.amax().max(f64::MIN_POSITIVE);
+    #[expect(clippy::cast_possible_truncation, reason = "of order one")]
+    let noise = noise.map(|element| (element / scale) as f32);
+    let mut spread = SMatrix::<f32, UNKNOWNS, UNKNOWNS>::zeros();
+    for_each_direction(|m: SVector<f64, RANK>, weight| {
+        #[expect(clippy::cast_possible_truncation, reason = "of order one")]
+        let (m, weight) = (m.map(|component| component as f32), weight as f32);
+        let phi = monomials(&m);
+        let scaled = phi * (m.dot(&(noise * m)) * weight * density.at(&m));
+        for row in 0..UNKNOWNS {
+            for column in row..UNKNOWNS {
+                spread[(row, column)] += scaled[row] * phi[column];
+            }
+        }
+    });
+    spread.fill_lower_triangle_with_upper_triangle();
+    spread.map(|element| f64::from(element) * scale)
 }
 
 impl<const RANK: usize> TrialUncertainty<RANK> {
