@@ -11,6 +11,7 @@
 //! | [`trial`] | shape and bias of one trial, by the shared estimator |
 //! | [`covariance`] | how certain that is |
 //! | [`motion`] | the recovered motion |
+//! | [`refinement`] | the same from the recording itself, a little better |
 //! | [`known_load`] | rests at known loads; arms as squashing matrices |
 //! | [`alignment`] | orientation from known loads |
 //! | [`turning`] | orientation from the sense of turning |
@@ -40,6 +41,7 @@ pub mod known_load;
 pub mod least_squares;
 pub mod matrix;
 pub mod motion;
+pub mod refinement;
 pub mod refusal;
 pub mod singular;
 pub mod staged;

@@ -42,6 +42,8 @@ pub enum Rejection {
     Moving,
     /// The converter repeated itself.
     Repeated,
+    /// Neither noise nor the load explains it: a glitch, a bump.
+    Outlier,
 }
 
 /// How many samples took part.
