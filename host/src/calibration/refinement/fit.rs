@@ -95,11 +95,12 @@ impl Fit {
             .collect()
     }
 
-    /// The fit that its errors, found, leave: (I − E, −h) made an ellipsoid about its centre. `None` where it is none.
-    pub(super) fn corrected(&self, answer: &Answer) -> Option<Self> {
+    /// The fit freed of this share of its errors, found: mᵀ(I − E)m − hᵀm = 1 made an ellipsoid about its centre. `None` where
+    /// it is none.
+    pub(super) fn corrected(&self, answer: &Answer, share: f64) -> Option<Self> {
         let (error, linear) = answer.errors();
-        let quadratic = DMatrix::identity(self.rank(), self.rank()) - error;
-        let centre = Cholesky::new(quadratic.clone())?.solve(&linear) / 2.0;
+        let quadratic = DMatrix::identity(self.rank(), self.rank()) - error * share;
+        let centre = Cholesky::new(quadratic.clone())?.solve(&linear) * (share / 2.0);
         // mᵀQm − hᵀm = 1 about its centre: (m − c)ᵀQ(m − c) = 1 + cᵀQc.
         let level = 1.0 + centre.dot(&(&quadratic * &centre));
         let factor = Cholesky::new(quadratic / level)?;

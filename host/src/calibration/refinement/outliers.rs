@@ -156,7 +156,7 @@ fn fitted(samples: &Samples, near: &Fit) -> Option<(Fit, DVector<f64>)> {
         let variances = fit.direction_variances();
         let noise = constraint_noise(&directions, &units, variances);
         let sums = AdjustedSums::of(&directions, variances, rank);
-        fit = fit.corrected(&Answer::of(&sums, &units, &noise, &Weight::equal(), rank)?)?;
+        fit = fit.corrected(&Answer::of(&sums, &units, &noise, &Weight::equal(), rank)?, 1.0)?;
     }
     Some((fit, principal.values))
 }

@@ -7,6 +7,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::{Kept, Outcome, Refinement, refine};
+use crate::calibration::singular::Singular;
 use crate::calibration::trial::{Gating, Rejection, TrialShape, solve};
 use crate::recording::Recording;
 
@@ -74,7 +75,7 @@ impl Trial {
     fn squared_error(&self, trial: &TrialShape) -> f64 {
         let found = &trial.shape_counts_per_load;
         let product = found * self.shape.transpose();
-        let decomposition = crate::calibration::singular::Singular::of(&product);
+        let decomposition = Singular::of(&product);
         let turn = decomposition.right * decomposition.left.transpose();
         (turn * found - &self.shape).norm_squared()
     }
