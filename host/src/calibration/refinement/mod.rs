@@ -13,11 +13,11 @@
 //!
 //! | module | step |
 //! |---|---|
-//! | [`outliers`] | samples that noise does not explain |
-//! | [`fit`] | samples and ellipsoid |
-//! | [`adjusted`] | moments of any degree, free of noise |
-//! | [`weight`] | 1/v as a polynomial |
-//! | [`constraint`] | the weighted constraint, its answer and covariance |
+//! | `outliers` | samples that noise does not explain |
+//! | `fit` | samples and ellipsoid |
+//! | `adjusted` | moments of any degree, free of noise |
+//! | `weight` | 1/v as a polynomial |
+//! | `constraint` | the weighted constraint, its answer and covariance |
 //!
 //! RMS error of S over the Cramér–Rao bound, condition 4: the first and the last column as `cargo bench -p ftcal-tests --bench efficiency`
 //! measures them (1500 trials), the orthogonal fit with and without its bias from a prototype (120 trials), scaled to the same start:
@@ -75,7 +75,7 @@ const MOST_ITERATIONS: usize = 10;
 /// unknown's variance.
 const LAST_STEP: f64 = 0.1;
 
-/// x of the bound in [`outliers`]: one good trial in a million moves farther.
+/// x of the bound in `outliers`: one good trial in a million moves farther.
 const UNBELIEVABLE: f64 = 13.8;
 
 /// A trial, refined where that serves it.

@@ -9,7 +9,7 @@
 //!
 //! so that x = ln(n / 0.01) leaves out some good sample of n in at most one trial of a hundred, and then one. What that costs in
 //! efficiency is nothing that could be measured. The direction's length is not quite Gaussian: |e|² makes its upper tail heavier. The bound
-//! is a quarter above the true quantile, which is room enough at 5 % noise (the benchmark would show it).
+//! is a third above the true quantile, which is room enough at 5 % noise (a test counts).
 //!
 //! Standard deviations are from medians, which a few per cent of outliers hardly move; those across the shape for each
 //! principal direction of the residuals by itself, because the noise of channels may differ. Outliers have pulled at the fit, too: it is
