@@ -19,14 +19,15 @@
 //! | `weight` | 1/v as a polynomial |
 //! | `constraint` | the weighted constraint, its answer and covariance |
 //!
-//! RMS error of S over the Cramér–Rao bound, condition 4: the first and the last column as `cargo bench -p ftcal-tests --bench efficiency`
-//! measures them (1500 trials), the orthogonal fit with and without its bias from a prototype (120 trials), scaled to the same start:
+//! RMS error of S over the Cramér–Rao bound, condition 4. The first and the last column are of 1500 trials (`cargo bench -p ftcal-tests
+//! --bench efficiency`; at 5 % the last is the first times the ratio measured there); the orthogonal fit, with and without its
+//! bias, is of a prototype over 120 trials, scaled to the same start:
 //!
 //! | | equal weights | orthogonal fit | the same less its bias | this |
 //! |---|---|---|---|---|
 //! | p = 8, σ = 1 % | 1.070 | 1.00 | 1.00 | 1.002 |
-//! | p = 8, σ = 5 % | 1.075 | 1.05 | 1.00 | 1.015 |
-//! | p = 6, σ = 5 % | 1.113 | 1.11 | 1.02 | 1.048 |
+//! | p = 8, σ = 5 % | 1.075 | 1.05 | 1.00 | 1.01 |
+//! | p = 6, σ = 5 % | 1.113 | 1.11 | 1.02 | 1.05 |
 //!
 //! Only the ellipsoid within the subspace of the codes is refined. Across it the shape is a regression on the directions, for which the
 //! principal components of the codes are as good as the bound allows, to first order: the constraint says nothing about it.
