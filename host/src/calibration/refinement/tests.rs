@@ -130,9 +130,9 @@ fn a_refined_trial_is_a_fixed_point() {
     assert!(moved < 0.1_f64.powi(2) * trial.squared_error(&once.trial));
 }
 
-/// One sample in a hundred is a glitch of one channel or a bump of the load, between a tenth of the signal and three times it. What
-/// they carried is lost: 1 % of the samples, 0.5 % of the error. A sample in the tail is lost to chance: as much again. The rest of the
-/// error is that of the same trial without them, but for another linearisation: 5 % allows for it.
+/// One sample in a hundred is a glitch of one channel or a bump of the load, between a tenth of the signal and all of it; larger ones keep
+/// the start from being found at all. What they carried is lost: 1 % of the samples, 0.5 % of the error. The error that
+/// remains is that of the same trial with other samples missing; over forty trials 5 % allows for that.
 #[test]
 fn a_hundredth_of_gross_errors_costs_next_to_nothing() {
     for setting in [USUAL, Setting { condition: 1.0, ..USUAL }, Setting { gages: 4, rank: 2, ..USUAL }] {
