@@ -12,6 +12,7 @@
 //! | [`covariance`] | how certain that is |
 //! | [`coverage`] | what a trial has covered, and which way to turn it next |
 //! | [`motion`] | the recovered motion |
+//! | [`refinement`] | the same from the recording itself, a little better |
 //! | [`known_load`] | rests at known loads; arms as squashing matrices |
 //! | [`alignment`] | orientation from known loads |
 //! | [`turning`] | orientation from the sense of turning |
@@ -49,6 +50,7 @@ pub mod matrix;
 pub mod motion;
 pub mod procrustes;
 pub mod reference;
+pub mod refinement;
 pub mod refusal;
 pub mod singular;
 pub mod staged;

@@ -39,6 +39,16 @@ impl TrialCovariance {
         }
     }
 
+    /// Of covariances along and across the shape, as the fields say.
+    pub(super) const fn of(along: DMatrix<f64>, across: DMatrix<f64>) -> Self {
+        Self { along, across }
+    }
+
+    /// Of the regression on m (r) and on 1, counts², in each direction of the codes across the shape.
+    pub(super) const fn across(&self) -> &DMatrix<f64> {
+        &self.across
+    }
+
     /// Covariance of the elements (a ≤ b) of E/2, row by row.
     pub fn gains(&self) -> DMatrix<f64> {
         let gains = self.gain_count();

@@ -54,6 +54,8 @@ pub enum Rejection {
     Magnitude,
     /// It came while the sensor worked on its sums.
     Unattended,
+    /// Neither noise nor the load explains it: a glitch, a bump.
+    Outlier,
 }
 
 /// How many samples took part.

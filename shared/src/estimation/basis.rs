@@ -28,7 +28,7 @@ const LARGEST_REDUNDANT_RATIO: f64 = 100.0;
 /// to a hundredth. Below it, an error of the answer is that small, too.
 const LARGEST_EXCESS_SHARE: f64 = 0.01;
 
-/// How many times the variance at rest the redundant eigenvalues may be before it is not the channels' noise that they show.
+/// How far apart the variance at rest and the redundant eigenvalues may be, as a factor, if both show the channels' noise.
 const LARGEST_NOISE_EXCESS: f64 = 2.0;
 
 /// The least r-th eigenvalue, relative to the first, that counts as a direction of its own.
@@ -92,7 +92,8 @@ fn basis_of_white_codes<const GAGES: usize, const RANK: usize>(
     let white = whitened(covariance, &factor)?;
     let mut outcome = basis_of_equal_channels::<GAGES, RANK>(&white, samples, noise);
     let Ok(found) = outcome.as_mut() else { return Some(outcome) };
-    if found.noise_variance.is_some_and(|variance| variance > LARGEST_NOISE_EXCESS * at_rest) {
+    let ratio = found.noise_variance? / at_rest;
+    if !(1.0 / LARGEST_NOISE_EXCESS..=LARGEST_NOISE_EXCESS).contains(&ratio) {
         return None;
     }
     found.projection = factor.transpose().solve_upper_triangular(&found.projection)?;
@@ -150,11 +151,13 @@ fn basis_of_equal_channels<const GAGES: usize, const RANK: usize>(
             return Err(Refusal::RankExceeded { share: share as f32, limit: LARGEST_EXCESS_SHARE as f32 });
         }
     }
+    // A load that jumps about from sample to sample has no rests, whatever they look like: noise stands below the signal.
+    let at_rest = noise.variance.filter(|variance| LEAST_GAP * variance <= eigenvalues[RANK - 1]);
     Ok(Basis {
         projection: vectors,
         embedding: vectors,
         variances: eigenvalues.fixed_rows::<RANK>(0).into_owned(),
-        noise_variance: redundant_variance::<GAGES, RANK>(&eigenvalues, samples).or(noise.variance),
+        noise_variance: redundant_variance::<GAGES, RANK>(&eigenvalues, samples).or(at_rest),
         eigenvalues,
         rounding: noise.rounding,
         relative_noise: SMatrix::identity(),

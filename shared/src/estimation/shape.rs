@@ -77,7 +77,8 @@ pub(crate) const fn require_samples<const RANK: usize>(samples: u64) -> Result<(
 ///
 /// # Errors
 ///
-/// [`Refusal::TooFewSamples`], and every refusal of [`metric`].
+/// [`Refusal::TooFewSamples`], every refusal of [`metric`], and [`Refusal::MotionDoesNotSpan`] where any coefficient is more
+/// uncertain than `accepted`.
 #[inline(never)]
 pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
     subspace: &Basis<GAGES, RANK>,
@@ -124,6 +125,7 @@ pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
         samples: all.samples,
     };
     let uncertainty = predict(&directions, &regressors, &load_noise, noise, metric.unexplained, samples)?;
+    require_known(uncertainty.worst_relative(), accepted)?;
 
     if shape_counts_per_load.iter().chain(bias_counts.iter()).any(|element| !element.is_finite()) {
         return Err(Refusal::NonFinite);
@@ -141,6 +143,16 @@ pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
         directions,
         uncertainty,
     })
+}
+
+/// Every coefficient must be known: a cap of directions may determine the principal values of the constraint and leave the bias and a
+/// gain to trade places.
+#[expect(clippy::cast_possible_truncation, reason = "a report of three digits")]
+fn require_known(worst_relative: f64, accepted: f64) -> Result<(), Refusal> {
+    if worst_relative <= accepted {
+        return Ok(());
+    }
+    Err(Refusal::MotionDoesNotSpan { relative_uncertainty: worst_relative as f32, need: accepted as f32 })
 }
 
 /// The metric constraint in whitened coordinates. Never inlined, nor is [`directions`]: moments up to degree four are large, and the

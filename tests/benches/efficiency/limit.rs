@@ -12,7 +12,7 @@ use crate::setting::{Comparison, Setting};
 
 /// Repetitions a row. The ratio of two standard deviations is uncertain by 1/√(2·repetitions), here 1.8 %, so that the most
 /// extreme of 32 coefficients lies within 5 %.
-const REPETITIONS: u64 = 1500;
+pub(crate) const REPETITIONS: u64 = 1500;
 
 /// 95 % of a normal distribution lie within so many standard deviations.
 const NINETY_FIVE: f64 = 1.959_964;
@@ -54,29 +54,53 @@ pub(crate) fn honesty<const GAGES: usize, const HIGHER: usize, const RANK: usize
 ) -> Honesty {
     let mut rng = random(1);
     let sensor: KnownSensor<GAGES, RANK> = setting.sensor(&mut rng);
-    let coefficients = (RANK + 1) * GAGES;
-    let mut squares = vec![(0.0, 0.0); coefficients];
-    let mut covered = 0_usize;
-    let mut answers = 0_usize;
+    let mut sums = HonestySums::new((RANK + 1) * GAGES);
     for _ in 0..REPETITIONS {
         let codes = trial(&sensor, setting.samples, &mut rng, |_| ());
         let Ok(answer) = solve_trial::<GAGES, HIGHER, RANK>(&moments_of(&codes)) else { continue };
-        answers += 1;
-        for (sum, (error, deviation)) in squares.iter_mut().zip(Comparison::new(&sensor, &answer).errors()) {
+        sums.add(Comparison::new(&sensor, &answer).errors());
+    }
+    sums.honesty()
+}
+
+/// Errors and their predicted standard deviations, summed up over trials of one sensor.
+#[derive(Clone, Debug)]
+pub(crate) struct HonestySums {
+    /// Of every coefficient: the sums of squares predicted and observed.
+    squares: Vec<(f64, f64)>,
+    covered: usize,
+    answers: usize,
+}
+
+impl HonestySums {
+    /// Nothing yet.
+    pub(crate) fn new(coefficients: usize) -> Self {
+        Self { squares: vec![(0.0, 0.0); coefficients], covered: 0, answers: 0 }
+    }
+
+    /// Adds one trial: every error with its predicted standard deviation.
+    pub(crate) fn add(&mut self, errors: impl Iterator<Item = (f64, f64)>) {
+        self.answers += 1;
+        for (sum, (error, deviation)) in self.squares.iter_mut().zip(errors) {
             sum.0 += deviation * deviation;
             sum.1 += error * error;
-            covered += usize::from(error.abs() <= NINETY_FIVE * deviation);
+            self.covered += usize::from(error.abs() <= NINETY_FIVE * deviation);
         }
     }
-    let ratios = squares.iter().map(|(predicted, observed)| (predicted / observed).sqrt());
-    Honesty {
-        least_ratio: ratios.clone().fold(f64::INFINITY, f64::min),
-        largest_ratio: ratios.fold(0.0, f64::max),
-        covered: covered as f64 / (coefficients * answers) as f64,
+
+    /// What they say.
+    pub(crate) fn honesty(&self) -> Honesty {
+        let ratios = self.squares.iter().map(|(predicted, observed)| (predicted / observed).sqrt());
+        Honesty {
+            least_ratio: ratios.clone().fold(f64::INFINITY, f64::min),
+            largest_ratio: ratios.fold(0.0, f64::max),
+            covered: self.covered as f64 / (self.squares.len() * self.answers) as f64,
+        }
     }
 }
 
-fn trial<const GAGES: usize, const RANK: usize>(
+/// The codes of one trial; `seen` gets the direction of every sample.
+pub(crate) fn trial<const GAGES: usize, const RANK: usize>(
     sensor: &KnownSensor<GAGES, RANK>,
     samples: usize,
     rng: &mut ChaCha8Rng,
