@@ -299,7 +299,7 @@ fn an_unsettled_hand_is_that_of_the_trials_that_may_be_mirrored() {
             sensor.trial(2.0, arms[2].as_slice(), &all_round),
         ];
         let refused = solve(&sensor, &trials).map_err(|refusal| match refusal {
-            CalibrationRefusal::HandednessNotSettled { trials, .. } => trials,
+            CalibrationRefusal::LoadsInPlaneOfArms { trials } => trials,
             other => panic!("{other:?}"),
         });
         assert_eq!(refused.err(), Some(vec![1]));
