@@ -7,15 +7,20 @@
 
 use core::ops::DerefMut;
 
-use ftcal_shared::estimation::bins::Bins;
+use ftcal_shared::estimation::bins::{Bins, QuietSolution};
 use ftcal_shared::estimation::coverage;
-use ftcal_shared::estimation::gate::Verdict;
+use ftcal_shared::estimation::expectation::Expectation;
+use ftcal_shared::estimation::gate::{BLOCK, Quietness, Verdict};
 use ftcal_shared::estimation::shape::TrialSolution;
 use ftcal_shared::refusal::Refusal;
 use ftcal_shared::units::{AdcCode, SampleIndex};
 use ftcal_shared::wire::{
     Coverage, GageList, GageTarget, Rejection, Response, Solution, TrialPhase, TrialStatus,
 };
+
+/// Samples of a block that come before its last one.
+#[expect(clippy::cast_possible_truncation, reason = "three")]
+const EARLIER_IN_BLOCK: u32 = BLOCK as u32 - 1;
 
 /// The trial of the sensor.
 #[derive(Debug)]
@@ -24,15 +29,27 @@ pub struct Trial<Store, const GAGES: usize, const HIGHER: usize> {
     store: Option<Store>,
     phase: TrialPhase,
     rank: u8,
-    /// Samples rejected because a channel stood at the end of its range.
-    saturated: u32,
-    /// Samples rejected because the converter repeats itself.
-    repeated: u32,
-    /// Samples that were taken in, but that the solution leaves out because the load moved too much.
-    moving: u32,
-    taken: u32,
-    offered: u32,
+    counts: Counts,
+    left_out: LeftOut,
     first: SampleIndex,
+}
+
+/// What became of the samples that were offered.
+#[derive(Clone, Copy, Debug, Default)]
+struct Counts {
+    offered: u32,
+    taken: u32,
+    saturated: u32,
+    repeated: u32,
+    contradictory: u32,
+    unattended: u32,
+}
+
+/// How many of the samples taken the solution leaves out.
+#[derive(Clone, Copy, Debug, Default)]
+struct LeftOut {
+    moving: u32,
+    off_magnitude: u32,
 }
 
 /// A trial's sums on their way to an answer.
@@ -41,9 +58,8 @@ pub struct SolveJob<Store, const GAGES: usize, const HIGHER: usize> {
     store: Store,
     wanted: Wanted,
     rank: u8,
-    taken: u32,
-    saturated: u32,
-    moving: u32,
+    counts: Counts,
+    left_out: LeftOut,
 }
 
 /// What is to be computed.
@@ -63,26 +79,35 @@ where
             store: Some(store),
             phase: TrialPhase::None,
             rank: 0,
-            saturated: 0,
-            repeated: 0,
-            moving: 0,
-            taken: 0,
-            offered: 0,
+            counts: Counts {
+                offered: 0,
+                taken: 0,
+                saturated: 0,
+                repeated: 0,
+                contradictory: 0,
+                unattended: 0,
+            },
+            left_out: LeftOut { moving: 0, off_magnitude: 0 },
             first: SampleIndex::new(0),
         }
     }
 
     /// State of the trial.
     pub const fn status(&self) -> TrialStatus {
+        let LeftOut { moving, off_magnitude } = self.left_out;
+        let Counts { offered, taken, saturated, repeated, contradictory, unattended } = self.counts;
         TrialStatus {
             phase: self.phase,
             rank: self.rank,
-            used: self.taken.saturating_sub(self.moving),
-            saturated: self.saturated,
+            used: taken.saturating_sub(moving.saturating_add(off_magnitude)),
+            saturated,
             first: self.first,
-            offered: self.offered,
-            repeated: self.repeated,
-            moving: self.moving,
+            offered,
+            repeated,
+            moving,
+            contradictory,
+            off_magnitude,
+            unattended,
         }
     }
 
@@ -98,11 +123,8 @@ where
         }
         self.store.as_mut().ok_or(Rejection::TrialBusy)?.restart();
         self.rank = rank;
-        self.saturated = 0;
-        self.repeated = 0;
-        self.moving = 0;
-        self.taken = 0;
-        self.offered = 0;
+        self.counts = Counts::default();
+        self.left_out = LeftOut::default();
         self.phase = TrialPhase::Running;
         Ok(())
     }
@@ -124,17 +146,24 @@ where
         if self.phase != TrialPhase::Running {
             return;
         }
-        let Some(bins) = self.store.as_mut() else { return };
-        if self.offered == 0 {
+        if self.counts.offered == 0 {
             self.first = index;
         }
-        self.offered = self.offered.saturating_add(1);
-        let counter = match bins.offer(codes) {
-            Ok(Verdict::Accepted) => &mut self.taken,
-            Ok(Verdict::Saturated) => &mut self.saturated,
-            Ok(Verdict::Repeated) => &mut self.repeated,
+        let Self { store, counts, .. } = self;
+        counts.offered = counts.offered.saturating_add(1);
+        let counter = match store.as_mut().map(|bins| bins.offer(codes)) {
+            None => &mut counts.unattended,
+            Some(Ok(Verdict::Accepted)) => &mut counts.taken,
+            Some(Ok(Verdict::Saturated)) => &mut counts.saturated,
+            Some(Ok(Verdict::Repeated)) => &mut counts.repeated,
+            Some(Ok(Verdict::Contradictory)) => {
+                // Its block goes with it.
+                counts.taken = counts.taken.saturating_sub(EARLIER_IN_BLOCK);
+                counts.contradictory = counts.contradictory.saturating_add(EARLIER_IN_BLOCK);
+                &mut counts.contradictory
+            }
             // The sums are as full as they may get: what they hold stays good.
-            Err(_) => {
+            Some(Err(_)) => {
                 self.phase = TrialPhase::Stopped;
                 return;
             }
@@ -189,7 +218,7 @@ where
     }
 
     const fn job(&self, store: Store, wanted: Wanted) -> SolveJob<Store, GAGES, HIGHER> {
-        SolveJob { store, wanted, rank: self.rank, taken: self.taken, saturated: self.saturated, moving: 0 }
+        SolveJob { store, wanted, rank: self.rank, counts: self.counts, left_out: self.left_out }
     }
 
     /// Takes back what [`Trial::take_for_solving`] or [`Trial::take_for_coverage`] handed out: a trial that was to be
@@ -197,7 +226,7 @@ where
     pub fn finish(&mut self, job: SolveJob<Store, GAGES, HIGHER>) {
         self.store = Some(job.store);
         if job.wanted == Wanted::Solution {
-            self.moving = job.moving;
+            self.left_out = job.left_out;
             self.phase = TrialPhase::Stopped;
         }
     }
@@ -218,9 +247,17 @@ where
     fn coverage(&mut self) -> Result<Coverage, Refusal> {
         self.store.settle();
         match self.rank {
-            2 => self.store.coverage::<2>().map(|covered| coverage_on_the_wire(&covered)),
-            _ => self.store.coverage::<3>().map(|covered| coverage_on_the_wire(&covered)),
+            2 => self.coverage_of_rank::<2>(),
+            _ => self.coverage_of_rank::<3>(),
         }
+    }
+
+    /// Where the trial stands; where that is good enough for an answer, the samples to come are compared with it.
+    fn coverage_of_rank<const RANK: usize>(&mut self) -> Result<Coverage, Refusal> {
+        if let Ok(so_far) = self.store.solve::<RANK>() {
+            self.store.expect(Expectation::new(&so_far.solution)?);
+        }
+        self.store.coverage::<RANK>().map(|covered| coverage_on_the_wire(&covered))
     }
 
     /// Solves the trial. Takes millions of instructions: not for the sample path.
@@ -231,16 +268,25 @@ where
     pub fn solve(&mut self) -> Result<Solution, Refusal> {
         self.store.finish();
         let solution = match self.rank {
-            2 => self.store.solve::<2>().and_then(|quiet| on_the_wire(&quiet.solution)),
-            _ => self.store.solve::<3>().and_then(|quiet| on_the_wire(&quiet.solution)),
+            2 => self.solve_of_rank::<2>(),
+            _ => self.solve_of_rank::<3>(),
         };
-        self.moving = solution.as_ref().map_or(0, |solution| self.taken.saturating_sub(solution.samples));
         match solution {
-            Err(Refusal::TooFewSamples { .. }) if self.saturated > 0 => {
-                Err(Refusal::Saturated { samples: u64::from(self.saturated) })
+            Err(Refusal::TooFewSamples { .. }) if self.counts.saturated > 0 => {
+                Err(Refusal::Saturated { samples: u64::from(self.counts.saturated) })
             }
             other => other,
         }
+    }
+
+    fn solve_of_rank<const RANK: usize>(&mut self) -> Result<Solution, Refusal> {
+        self.left_out = LeftOut::default();
+        let QuietSolution { solution, up_to } = self.store.solve::<RANK>()?;
+        let answer = on_the_wire(&solution)?;
+        let left_out = self.counts.taken.saturating_sub(answer.samples);
+        let off_magnitude = if up_to < Quietness::Fast { self.store.off_magnitude() } else { 0 };
+        self.left_out = LeftOut { moving: left_out.saturating_sub(off_magnitude), off_magnitude };
+        Ok(answer)
     }
 }
 

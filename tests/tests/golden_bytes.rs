@@ -100,10 +100,13 @@ const TRIAL: TrialStatus = TrialStatus {
     offered: 729,
     repeated: 300,
     moving: 300,
+    contradictory: 2,
+    off_magnitude: 0,
+    unattended: 129,
 };
 
 // 729 = 5·128 + 89 and 300 = 2·128 + 44, each low seven bits first.
-const TRIAL_BYTES: [u8; 12] = [1, 3, 0x80, 0x01, 1, 5, 0xD9, 0x05, 0xAC, 0x02, 0xAC, 0x02];
+const TRIAL_BYTES: [u8; 16] = [1, 3, 0x80, 0x01, 1, 5, 0xD9, 0x05, 0xAC, 0x02, 0xAC, 0x02, 2, 0, 0x81, 0x01];
 
 #[test]
 fn responses() {

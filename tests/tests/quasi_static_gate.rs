@@ -168,6 +168,7 @@ fn verdicts(codes: impl IntoIterator<Item = Codes>) -> [usize; 3] {
             Verdict::Accepted => counts[0] += 1,
             Verdict::Saturated => counts[1] += 1,
             Verdict::Repeated => counts[2] += 1,
+            Verdict::Contradictory => panic!("nothing is expected of the samples"),
         }
     }
     counts

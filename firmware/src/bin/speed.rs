@@ -23,8 +23,10 @@ mod target {
     use cortex_m_semihosting::{debug, hprintln};
     use defmt_rtt as _;
     use ftcal_shared::estimation::application::RealTimeCalibration;
+    use ftcal_shared::estimation::bins::Bins;
+    use ftcal_shared::estimation::expectation::Expectation;
+    use ftcal_shared::estimation::gate::Gate;
     use ftcal_shared::estimation::moments::{BLOCK, Moments, higher_moment_count};
-    use ftcal_shared::estimation::shape::solve_trial;
     use ftcal_shared::units::{AdcCode, Dof};
     // The interrupt table comes with the device.
     use stm32f4xx_hal as _;
@@ -34,6 +36,9 @@ mod target {
 
     /// Samples of the trial: two whole blocks of the sums, so that bringing them into the long sums is counted, too.
     const SAMPLES: u32 = 2 * BLOCK as u32;
+
+    /// Samples through the gate: many blocks of it.
+    const GATED: u32 = 4000;
 
     /// Instructions of the loop that measures SysTick's rate: two a turn.
     const RATE_INSTRUCTIONS: u32 = 1_000_000;
@@ -61,18 +66,21 @@ mod target {
             timer.set_reload(RELOAD);
             timer.clear_current();
             timer.enable_counter();
-            let mut counter = Self { instructions_per_tick: 1.0 };
-            let ticks = counter.instructions(|| asm::delay(RATE_INSTRUCTIONS / 2));
-            counter.instructions_per_tick = f64::from(RATE_INSTRUCTIONS) / ticks;
-            counter
+            let ticks = ticks(|| asm::delay(RATE_INSTRUCTIONS / 2));
+            Self { instructions_per_tick: f64::from(RATE_INSTRUCTIONS) / f64::from(ticks) }
         }
 
-        fn instructions(&self, work: impl FnOnce()) -> f64 {
-            let begin = SYST::get_current();
-            work();
-            let ticks = begin.wrapping_sub(SYST::get_current()) & RELOAD;
+        fn instructions(&self, ticks: u32) -> f64 {
             f64::from(ticks) * self.instructions_per_tick
         }
+    }
+
+    /// The ticks of SysTick that some work takes. Whole numbers, since arithmetic in double precision, which the processor does
+    /// in software, might be moved to between the two readings.
+    fn ticks(work: impl FnOnce()) -> u32 {
+        let begin = SYST::get_current();
+        work();
+        begin.wrapping_sub(SYST::get_current()) & RELOAD
     }
 
     /// A sensor that turns: two incommensurable angles cover the sphere; gages and noise in whole counts.
@@ -93,9 +101,15 @@ mod target {
 
     #[entry]
     fn main() -> ! {
-        static mut STORE: Moments<GAGES, HIGHER> = Moments::new([AdcCode::ZERO; GAGES]);
+        static mut MOMENTS: Moments<GAGES, HIGHER> = Moments::new([AdcCode::ZERO; GAGES]);
+        static mut BINS: Bins<GAGES, HIGHER> = Bins::new();
+        let at_start = stack::used();
         if let Some(core) = cortex_m::Peripherals::take() {
-            measure(&Counter::new(core.SYST), STORE);
+            let counter = Counter::new(core.SYST);
+            accumulate(&counter, MOMENTS);
+            hprintln!("stack_accumulating {}", stack::used() - at_start);
+            solve(&counter, BINS);
+            hprintln!("stack_solving {}", stack::used() - at_start);
             debug::exit(debug::EXIT_SUCCESS);
         }
         loop {
@@ -103,41 +117,81 @@ mod target {
         }
     }
 
-    fn measure(counter: &Counter, moments: &mut Moments<GAGES, HIGHER>) {
+    fn accumulate(counter: &Counter, moments: &mut Moments<GAGES, HIGHER>) {
         moments.restart(codes(0));
-        let (mut sum, mut largest) = (0.0, 0.0_f64);
+        let (mut sum, mut largest) = (0, 0);
         for sample in 0..SAMPLES {
             let codes = codes(sample);
-            let instructions = counter.instructions(|| {
+            let ticks = ticks(|| {
                 // A trial this short has room for every sample.
                 let _ = black_box(moments.push(black_box(&codes)));
             });
-            sum += instructions;
-            largest = largest.max(instructions);
+            sum += ticks;
+            largest = largest.max(ticks);
         }
-        hprintln!("accumulate_mean {:.0}", sum / f64::from(SAMPLES));
-        hprintln!("accumulate_worst {:.0}", largest);
+        hprintln!("accumulate_mean {:.0}", counter.instructions(sum) / f64::from(SAMPLES));
+        hprintln!("accumulate_worst {:.0}", counter.instructions(largest));
+    }
 
-        moments.settle();
-        let mut solved = false;
-        let instructions = counter.instructions(|| {
-            solved = black_box(solve_trial::<GAGES, HIGHER, 3>(black_box(moments))).is_ok();
-        });
-        assert!(solved, "the motion determines the shape");
-        hprintln!("solve {:.0}", instructions);
+    /// A trial with all that belongs to it: gate, sums by quietness, solution with covariance, and the gate that knows the solution.
+    fn solve(counter: &Counter, bins: &mut Bins<GAGES, HIGHER>) {
+        for sample in 0..SAMPLES {
+            let _ = bins.offer(&codes(sample));
+        }
+        bins.finish();
+        let mut solved = None;
+        let ticks = ticks(|| solved = black_box(black_box(&*bins).solve::<3>().ok()));
+        hprintln!("solve {:.0}", counter.instructions(ticks));
+        let expectation = solved.and_then(|solved| Expectation::new(&solved.solution).ok().flatten());
+        assert!(expectation.is_some(), "the motion determines the shape");
+        gate_and_apply(counter, expectation);
+    }
 
+    fn gate_and_apply(counter: &Counter, expectation: Option<Expectation<GAGES>>) {
         let matrix: [f32; 6 * GAGES] = core::array::from_fn(|element| 1e-4 * element as f32);
-        if let Ok(calibration) =
+        let Ok(calibration) =
             RealTimeCalibration::<GAGES>::new(Dof::SpatialForceTorque, &matrix, &[1000.5; GAGES])
-        {
-            let sample = codes(1);
-            let repetitions = 100_u32;
-            let instructions = counter.instructions(|| {
-                for _ in 0..repetitions {
-                    black_box(black_box(&calibration).apply(black_box(&sample)));
-                }
+        else {
+            return;
+        };
+        let mut gate = Gate::<GAGES>::new();
+        gate.expect(expectation);
+        let (mut gated, mut applied) = (0, 0);
+        for sample in 0..GATED {
+            let codes = codes(sample);
+            gated += ticks(|| {
+                black_box(gate.offer(black_box(&codes), &mut |quietness, codes| {
+                    black_box((quietness, codes));
+                }));
             });
-            hprintln!("apply {:.0}", instructions / f64::from(repetitions));
+            applied += ticks(|| {
+                black_box(black_box(&calibration).apply(black_box(&codes)));
+            });
+        }
+        hprintln!("gate_and_parity {:.0}", counter.instructions(gated) / f64::from(GATED));
+        hprintln!("apply {:.0}", counter.instructions(applied) / f64::from(GATED));
+    }
+
+    /// How much of the stack has ever been in use. The run-time paints it before anything runs (`paint-stack`).
+    #[expect(unsafe_code, reason = "the memory below the stack belongs to nobody and is only read")]
+    mod stack {
+        use core::ptr::{addr_of, read_volatile};
+
+        /// What `cortex-m-rt` paints with.
+        const PAINT: u32 = 0xcccc_cccc;
+
+        unsafe extern "C" {
+            static _stack_start: u32;
+            static _stack_end: u32;
+        }
+
+        pub(super) fn used() -> usize {
+            let (mut at, top) = (addr_of!(_stack_end), addr_of!(_stack_start));
+            // SAFETY: both symbols are the linker's, aligned to words, and all between them is memory.
+            while at < top && unsafe { read_volatile(at) } == PAINT {
+                at = at.wrapping_add(1);
+            }
+            top.addr() - at.addr()
         }
     }
 }

@@ -6,7 +6,7 @@
 //! arbitrary.
 
 use ftcal_shared::estimation::uncertainty::TrialUncertainty;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, SMatrix};
 
 /// Covariances of one trial's shape and bias.
 #[derive(Clone, Debug, PartialEq)]
@@ -15,16 +15,24 @@ pub struct TrialCovariance {
     along: DMatrix<f64>,
     /// Of the regression on m (r) and on 1, counts², in each direction of the codes across the shape.
     across: DMatrix<f64>,
+    /// What the noise has across the shape (p × p), over that of a channel: the projection onto those directions where all
+    /// channels are equally noisy.
+    redundant_noise: DMatrix<f64>,
 }
 
 impl TrialCovariance {
     /// The estimator's prediction, whose codes are `counts_per_code` counts each.
-    pub fn new<const RANK: usize>(uncertainty: &TrialUncertainty<RANK>, counts_per_code: f64) -> Self {
+    pub fn new<const GAGES: usize, const RANK: usize>(
+        uncertainty: &TrialUncertainty<RANK>,
+        redundant_noise: &SMatrix<f64, GAGES, GAGES>,
+        counts_per_code: f64,
+    ) -> Self {
         let unknowns = RANK * (RANK + 1) / 2 + RANK;
         let regressors = uncertainty.across().nrows();
         let position = |regressor: usize| if regressor < RANK { regressor } else { regressors - 1 };
         Self {
             along: DMatrix::from_fn(unknowns, unknowns, |a, b| uncertainty.along()[(a, b)]),
+            redundant_noise: DMatrix::from_column_slice(GAGES, GAGES, redundant_noise.as_slice()),
             across: DMatrix::from_fn(RANK + 1, RANK + 1, |a, b| {
                 uncertainty.across()[(position(a), position(b))] * counts_per_code * counts_per_code
             }),
@@ -57,7 +65,7 @@ impl TrialCovariance {
     pub fn bias(&self, shape: &DMatrix<f64>) -> DMatrix<f64> {
         let (rank, gains) = (self.rank(), self.gain_count());
         let along = shape.transpose() * self.along.view((gains, gains), (rank, rank)) * shape;
-        along + across_codes(shape) * self.across[(rank, rank)]
+        along + &self.redundant_noise * self.across[(rank, rank)]
     }
 
     /// Standard deviations of the elements of the trial's shape (r × p, counts per unit load, rows orthogonal), up to its
@@ -68,7 +76,6 @@ impl TrialCovariance {
     pub fn shape(&self, shape: &DMatrix<f64>) -> DMatrix<f64> {
         let rank = self.rank();
         let squares: Vec<f64> = shape.row_iter().map(|row| row.norm_squared()).collect();
-        let across = across_codes(shape);
         DMatrix::from_fn(rank, shape.ncols(), |row, gage| {
             let mut gradient = DVector::zeros(self.gain_count());
             for other in 0..rank {
@@ -76,7 +83,7 @@ impl TrialCovariance {
                 gradient[gain_position(rank, row, other)] = turned * shape[(other, gage)];
             }
             let along = gradient.dot(&(self.gains() * &gradient));
-            (along + self.across[(row, row)] * across[(gage, gage)]).max(0.0).sqrt()
+            (along + self.across[(row, row)] * self.redundant_noise[(gage, gage)]).max(0.0).sqrt()
         })
     }
 
@@ -87,14 +94,6 @@ impl TrialCovariance {
     fn gain_count(&self) -> usize {
         self.along.nrows() - self.rank()
     }
-}
-
-/// The projection (p × p) onto the directions of the codes across a shape.
-fn across_codes(shape: &DMatrix<f64>) -> DMatrix<f64> {
-    let gages = shape.ncols();
-    let spanned = super::matrix::matrix_of_shape(shape)
-        .map_or_else(|_| DMatrix::zeros(gages, gages), |matrix| shape.transpose() * matrix);
-    DMatrix::identity(gages, gages) - spanned
 }
 
 /// Where the element (row, column) of E/2 stands among those with row ≤ column, row by row.

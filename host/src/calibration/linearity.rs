@@ -8,7 +8,7 @@
 //!   Procrustes, [`super::procrustes`]), must be that shape. It is never fitted. The calibration's uncertainty
 //!   ([`super::accuracy`]), the mass's and the trial's own explain part of what is left; only what is beyond is the sensor's.
 
-use ftcal_shared::estimation::basis::QUANTISATION_VARIANCE;
+use ftcal_shared::estimation::rest_noise::QUANTISATION_VARIANCE;
 use serde::{Deserialize, Serialize};
 
 use super::accuracy::wrench_deviation;

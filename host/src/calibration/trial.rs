@@ -3,14 +3,15 @@
 //! The estimator of [`ftcal_shared::estimation`] is generic over the number of gages p and the rank r of the trial; this
 //! module picks the instance (p = 2 … 12, r = 2, 3), feeds it the codes, and brings the result back into the counts of
 //! the recording. Samples with a channel at an end of the converter's range, and those of a converter that repeats itself, are
-//! no measurements; samples during which the load moved too much are left out where that serves the answer. Gate and sums are
-//! the sensor's own code.
+//! no measurements; samples during which the load moved too much are left out where that serves the answer. Where the answer does not
+//! expect some of the samples, it is found again without them. Gate and sums are the sensor's own code.
 
 use std::collections::BTreeMap;
 
 use clap::ValueEnum;
-use ftcal_shared::estimation::bins::Bins;
-use ftcal_shared::estimation::gate::{Gate, Quietness, Verdict};
+use ftcal_shared::estimation::bins::{Bins, QuietSolution};
+use ftcal_shared::estimation::expectation::Expectation;
+use ftcal_shared::estimation::gate::{BLOCK, Gate, Quietness, Verdict};
 use ftcal_shared::estimation::moments::higher_moment_count;
 use ftcal_shared::estimation::shape::TrialSolution;
 use ftcal_shared::refusal::Refusal;
@@ -33,6 +34,10 @@ pub enum Gating {
     Off,
 }
 
+/// How often a recording is gone through: each pass but the first compares the samples with what the one before found. It is
+/// settled when that changes nothing, after the second pass as a rule.
+const MOST_PASSES: usize = 4;
+
 /// Why a sample takes no part.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -43,6 +48,12 @@ pub enum Rejection {
     Moving,
     /// The converter repeated itself.
     Repeated,
+    /// The codes answer to no load at this arm.
+    Parity,
+    /// The load was of another magnitude.
+    Magnitude,
+    /// It came while the sensor worked on its sums.
+    Unattended,
 }
 
 /// How many samples took part.
@@ -66,15 +77,20 @@ impl SampleCounts {
 
     /// The counts of a trial that the sensor has solved.
     pub fn on_the_sensor(trial: &TrialStatus, solution: &Solution) -> Self {
-        let (saturated, repeated) = (u64::from(trial.saturated), u64::from(trial.repeated));
         let total = u64::from(trial.offered);
-        let moving = total.saturating_sub(saturated + repeated + u64::from(solution.samples));
+        let [saturated, repeated, contradictory, magnitude, unattended] =
+            [trial.saturated, trial.repeated, trial.contradictory, trial.off_magnitude, trial.unattended]
+                .map(u64::from);
+        let others = saturated + repeated + contradictory + magnitude + unattended;
         Self::new(
             total,
             &[
                 (Rejection::Saturated, saturated),
-                (Rejection::Moving, moving),
+                (Rejection::Moving, total.saturating_sub(others + u64::from(solution.samples))),
                 (Rejection::Repeated, repeated),
+                (Rejection::Parity, contradictory),
+                (Rejection::Magnitude, magnitude),
+                (Rejection::Unattended, unattended),
             ],
         )
     }
@@ -157,49 +173,112 @@ fn solve_gages<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
     recording: &Recording,
     gating: Gating,
 ) -> Result<TrialShape, Refusal> {
+    let mut expectation = None;
+    let mut pass = pass::<GAGES, HIGHER, RANK>(recording, gating, None)?;
+    for _ in 1..MOST_PASSES {
+        let expected = Expectation::new(&pass.quiet.solution)?;
+        let Some(next) = expected.filter(|expected| gating == Gating::On && surprises(recording, expected))
+        else {
+            break;
+        };
+        let again = self::pass::<GAGES, HIGHER, RANK>(recording, gating, Some(&next))?;
+        let settled = again.off_magnitude == pass.off_magnitude && again.verdicts == pass.verdicts;
+        (pass, expectation) = (again, Some(next));
+        if settled {
+            break;
+        }
+    }
+    let taken = pass.taken(recording, gating, expectation);
+    in_counts(&pass.quiet.solution, recording, pass.counts(), taken)
+}
+
+/// Whether any sample is not what is expected.
+fn surprises<const GAGES: usize>(recording: &Recording, expected: &Expectation<GAGES>) -> bool {
+    let mut gate = Gate::<GAGES>::new();
+    gate.expect(Some(expected.clone()));
+    let mut samples = recording.samples().filter_map(|(_, codes)| <&[AdcCode; GAGES]>::try_from(codes).ok());
+    samples
+        .any(|codes| gate.offer(codes, &mut |_, _| ()) == Verdict::Contradictory || gate.off_magnitude() > 0)
+}
+
+/// All samples of a recording, taken once.
+struct Pass<const GAGES: usize, const RANK: usize> {
+    verdicts: Vec<Verdict>,
+    off_magnitude: u32,
+    quiet: QuietSolution<GAGES, RANK>,
+}
+
+fn pass<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
+    recording: &Recording,
+    gating: Gating,
+    expectation: Option<&Expectation<GAGES>>,
+) -> Result<Pass<GAGES, RANK>, Refusal> {
     let mut bins = Box::new(Bins::<GAGES, HIGHER>::new());
+    bins.expect(expectation.cloned());
     let mut verdicts = Vec::with_capacity(recording.len());
     for (_, codes) in recording.samples() {
         let codes = <&[AdcCode; GAGES]>::try_from(codes).map_err(|_| unsupported(codes.len(), RANK))?;
-        verdicts.push(match gating {
+        let verdict = match gating {
             Gating::On => bins.offer(codes),
             Gating::Off => bins.offer_ungated(codes),
-        }?);
+        }?;
+        verdicts.push(verdict);
+        if verdict == Verdict::Contradictory {
+            // Its block goes with it.
+            let earlier = verdicts.iter_mut().rev().filter(|verdict| **verdict == Verdict::Accepted);
+            earlier.take(BLOCK - 1).for_each(|verdict| *verdict = Verdict::Contradictory);
+        }
     }
     bins.finish();
-    let count = |cause| verdicts.iter().filter(|&&verdict| verdict == cause).count() as u64;
-    let (saturated, repeated) = (count(Verdict::Saturated), count(Verdict::Repeated));
     let quiet = bins.solve::<RANK>().map_err(|refusal| match refusal {
-        Refusal::TooFewSamples { .. } if saturated > 0 => Refusal::Saturated { samples: saturated },
+        Refusal::TooFewSamples { .. } if verdicts.contains(&Verdict::Saturated) => {
+            Refusal::Saturated { samples: count(&verdicts, Verdict::Saturated) }
+        }
         other => other,
     })?;
-    let taken = taken::<GAGES>(recording, &verdicts, quiet.up_to, gating);
-    let moving = count(Verdict::Accepted).saturating_sub(quiet.solution.samples);
-    let rejected =
-        [(Rejection::Saturated, saturated), (Rejection::Moving, moving), (Rejection::Repeated, repeated)];
-    in_counts(&quiet.solution, recording, SampleCounts::new(verdicts.len() as u64, &rejected), taken)
+    Ok(Pass { verdicts, off_magnitude: bins.off_magnitude(), quiet })
 }
 
-/// Which samples took part: the gate tells their classes once more, in the order of the accepted ones.
-fn taken<const GAGES: usize>(
-    recording: &Recording,
-    verdicts: &[Verdict],
-    up_to: Quietness,
-    gating: Gating,
-) -> Vec<bool> {
-    let accepted = verdicts.iter().map(|&verdict| verdict == Verdict::Accepted);
-    if gating == Gating::Off {
-        return accepted.collect();
+impl<const GAGES: usize, const RANK: usize> Pass<GAGES, RANK> {
+    fn counts(&self) -> SampleCounts {
+        let left_out = count(&self.verdicts, Verdict::Accepted).saturating_sub(self.quiet.solution.samples);
+        let magnitude = if self.quiet.up_to < Quietness::Fast { u64::from(self.off_magnitude) } else { 0 };
+        let rejected = [
+            (Rejection::Saturated, count(&self.verdicts, Verdict::Saturated)),
+            (Rejection::Moving, left_out.saturating_sub(magnitude)),
+            (Rejection::Repeated, count(&self.verdicts, Verdict::Repeated)),
+            (Rejection::Parity, count(&self.verdicts, Verdict::Contradictory)),
+            (Rejection::Magnitude, magnitude),
+        ];
+        SampleCounts::new(self.verdicts.len() as u64, &rejected)
     }
-    let mut gate = Gate::<GAGES>::new();
-    let mut quiet = Vec::with_capacity(verdicts.len());
-    let mut note = |quietness, _: &[AdcCode; GAGES]| quiet.push(quietness <= up_to);
-    for codes in recording.samples().filter_map(|(_, codes)| codes.try_into().ok()) {
-        gate.offer(codes, &mut note);
+
+    /// Which samples took part: the gate tells their classes once more, in the order of the accepted ones.
+    fn taken(
+        &self,
+        recording: &Recording,
+        gating: Gating,
+        expectation: Option<Expectation<GAGES>>,
+    ) -> Vec<bool> {
+        let accepted = self.verdicts.iter().map(|&verdict| verdict == Verdict::Accepted);
+        if gating == Gating::Off {
+            return accepted.collect();
+        }
+        let mut gate = Gate::<GAGES>::new();
+        gate.expect(expectation);
+        let mut quiet = Vec::with_capacity(self.verdicts.len());
+        let mut note = |quietness, _: &[AdcCode; GAGES]| quiet.push(quietness <= self.quiet.up_to);
+        for codes in recording.samples().filter_map(|(_, codes)| codes.try_into().ok()) {
+            gate.offer(codes, &mut note);
+        }
+        gate.finish(&mut note);
+        let mut quiet = quiet.into_iter();
+        accepted.map(|accepted| accepted && quiet.next().unwrap_or(false)).collect()
     }
-    gate.finish(&mut note);
-    let mut quiet = quiet.into_iter();
-    accepted.map(|accepted| accepted && quiet.next().unwrap_or(false)).collect()
+}
+
+fn count(verdicts: &[Verdict], cause: Verdict) -> u64 {
+    verdicts.iter().filter(|&&verdict| verdict == cause).count() as u64
 }
 
 /// The solution in the counts of the recording.
@@ -220,7 +299,7 @@ fn in_counts<const GAGES: usize, const RANK: usize>(
         noise_counts: solution.noise_variance.map(|variance| variance.max(0.0).sqrt() * step),
         bias_counts: bias_codes * step + quantisation.offset_counts(),
         shape_counts_per_load: shape_codes * step,
-        covariance: TrialCovariance::new(&solution.uncertainty, step),
+        covariance: TrialCovariance::new(&solution.uncertainty, &solution.redundant_noise, step),
         coverage: TrialCoverage::new(solution, quantisation)?,
     };
     let numbers = shape.eigenvalues.iter().chain(&shape.bias_counts).chain(&shape.shape_counts_per_load);

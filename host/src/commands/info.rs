@@ -101,6 +101,9 @@ struct Trial {
     saturated: u32,
     repeated: u32,
     moving: u32,
+    contradictory: u32,
+    off_magnitude: u32,
+    unattended: u32,
 }
 
 #[derive(Serialize)]
@@ -141,6 +144,9 @@ impl Info {
                 saturated: status.trial.saturated,
                 repeated: status.trial.repeated,
                 moving: status.trial.moving,
+                contradictory: status.trial.contradictory,
+                off_magnitude: status.trial.off_magnitude,
+                unattended: status.trial.unattended,
             },
             link: Link { dropped_frames: status.dropped_frames, broken_frames: status.broken_frames },
         }

@@ -130,5 +130,14 @@ pub fn trial_status(trial: &TrialStatus) -> String {
     if trial.moving > 0 {
         let _ = write!(words, ", {} left out because the load moved too much", trial.moving);
     }
+    if trial.off_magnitude > 0 {
+        let _ = write!(words, ", {} left out because the load was of another magnitude", trial.off_magnitude);
+    }
+    if trial.contradictory > 0 {
+        let _ = write!(words, ", {} rejected because the gages contradicted each other", trial.contradictory);
+    }
+    if trial.unattended > 0 {
+        let _ = write!(words, ", {} missed while the sums were worked on", trial.unattended);
+    }
     words
 }

@@ -81,9 +81,10 @@ impl<const GAGES: usize> RealTimeCalibration<GAGES> {
         let difference: [f32; GAGES] =
             core::array::from_fn(|gage| (codes[gage].counts() - self.pivot[gage]) as f32);
         let mut wrench = self.offset;
-        for row in 0..self.dof.count() {
+        // Rows beyond the degrees of freedom are zero: to leave them out would cost more than to take them along.
+        for (component, row) in wrench.iter_mut().zip(&self.matrix) {
             for gage in 0..GAGES {
-                wrench[row] += self.matrix[row][gage] * difference[gage];
+                *component += row[gage] * difference[gage];
             }
         }
         wrench

@@ -3,10 +3,15 @@
 //! The right singular vectors of the centred measurement matrix Z are the eigenvectors of its covariance, and its
 //! squared singular values are n times the eigenvalues. The first r of them span the motion; the mean of the other
 //! p − r is the noise variance, free of charge.
+//!
+//! Where the channels' noise is known to differ (design § 3.1), with the covariance R = LLᵀ relative to its mean, all this is
+//! done with the codes L⁻¹z, in which it does not. The coordinates of the motion are then y = V*ᵀL⁻¹(z − z̄), and the codes
+//! that belong to them z̄ + LV*y.
 
-use nalgebra::{SMatrix, SVector};
+use nalgebra::{Cholesky, SMatrix, SVector};
 
 use super::eigen::symmetric_eigen;
+use super::rest_noise::ChannelNoise;
 use crate::refusal::Refusal;
 
 /// The least ratio between the r-th and the (r+1)-th eigenvalue that counts as a clear gap.
@@ -15,9 +20,6 @@ use crate::refusal::Refusal;
 /// is never reached by noise, and is passed by an ill-shaped sensor (condition 4) at 5 % noise, where it is about 50.
 const LEAST_GAP: f64 = 10.0;
 
-/// Variance of the rounding to whole codes, counts²: no eigenvalue says anything below it.
-pub const QUANTISATION_VARIANCE: f64 = 1.0 / 12.0;
-
 /// The most that the first redundant eigenvalue may exceed the second before it is no noise. The noise of channels may
 /// differ, but not by ten times in amplitude.
 const LARGEST_REDUNDANT_RATIO: f64 = 100.0;
@@ -25,6 +27,9 @@ const LARGEST_REDUNDANT_RATIO: f64 = 100.0;
 /// The largest share, in amplitude, of a direction beyond the rank that a linear sensor may have: a sensor that is linear
 /// to a hundredth. Below it, an error of the answer is that small, too.
 const LARGEST_EXCESS_SHARE: f64 = 0.01;
+
+/// How many times the variance at rest the redundant eigenvalues may be before it is not the channels' noise that they show.
+const LARGEST_NOISE_EXCESS: f64 = 2.0;
 
 /// The least r-th eigenvalue, relative to the first, that counts as a direction of its own.
 ///
@@ -36,15 +41,26 @@ const LEAST_RELATIVE_EIGENVALUE: f64 = 1e-3;
 /// The rank-r subspace of the codes in which the motion takes place.
 #[derive(Clone, Debug)]
 pub struct Basis<const GAGES: usize, const RANK: usize> {
-    /// The first r eigenvectors, V* of eq. 8 (p × r, orthonormal columns, each with its largest element positive).
-    pub vectors: SMatrix<f64, GAGES, RANK>,
+    /// L⁻ᵀV* (p × r): its transpose takes codes to the coordinates of the motion. Where all channels are equally noisy, it is
+    /// the first r eigenvectors, V* of eq. 8 (orthonormal columns, each with its largest element positive).
+    pub projection: SMatrix<f64, GAGES, RANK>,
+    /// LV* (p × r): takes the coordinates of the motion to codes.
+    pub embedding: SMatrix<f64, GAGES, RANK>,
+    /// Variances of the coordinates (r), descending, counts².
+    pub variances: SVector<f64, RANK>,
     /// All eigenvalues of the covariance of the codes, descending, counts².
     pub eigenvalues: SVector<f64, GAGES>,
-    /// The variance of the noise of one channel, counts²: the mean of the redundant eigenvalues; `None` at p = r.
+    /// The variance of the noise, counts², the mean over the channels: from the redundant eigenvalues; at p = r, from the rests,
+    /// and `None` where there were none.
     pub noise_variance: Option<f64>,
+    /// Variance of the rounding to codes, counts².
+    pub rounding: f64,
+    /// R (p × p), over the mean of its diagonal.
+    pub relative_noise: SMatrix<f64, GAGES, GAGES>,
 }
 
-/// Finds the basis of the motion from the covariance of the codes (p × p, counts²) of `samples` samples.
+/// Finds the basis of the motion from the covariance of the codes (p × p, counts²) of `samples` samples, whose channels have
+/// this noise as far as it is known.
 ///
 /// # Errors
 ///
@@ -55,6 +71,47 @@ pub struct Basis<const GAGES: usize, const RANK: usize> {
 pub fn basis<const GAGES: usize, const RANK: usize>(
     covariance: &SMatrix<f64, GAGES, GAGES>,
     samples: u64,
+    noise: &ChannelNoise<GAGES>,
+) -> Result<Basis<GAGES, RANK>, Refusal> {
+    match basis_of_white_codes(covariance, samples, noise) {
+        Some(Ok(basis)) => Ok(basis),
+        None | Some(Err(_)) => basis_of_equal_channels(covariance, samples, noise),
+    }
+}
+
+/// The basis found in the codes L⁻¹z; `None` where the channels are not known to differ, or what the redundant directions show is
+/// not their noise.
+fn basis_of_white_codes<const GAGES: usize, const RANK: usize>(
+    covariance: &SMatrix<f64, GAGES, GAGES>,
+    samples: u64,
+    noise: &ChannelNoise<GAGES>,
+) -> Option<Result<Basis<GAGES, RANK>, Refusal>> {
+    let at_rest = noise.variance.filter(|_| !noise.is_equal())?;
+    let factor = Cholesky::new(noise.relative)?.l();
+    let halfway = factor.solve_lower_triangular(covariance)?;
+    let white = factor.solve_lower_triangular(&halfway.transpose())?;
+    let found = match basis_of_equal_channels::<GAGES, RANK>(&white, samples, noise) {
+        Ok(found) => found,
+        Err(refusal) => return Some(Err(refusal)),
+    };
+    if found.noise_variance.is_some_and(|variance| variance > LARGEST_NOISE_EXCESS * at_rest) {
+        return None;
+    }
+    let projection = factor.transpose().solve_upper_triangular(&found.projection)?;
+    Some(symmetric_eigen(covariance).map(|eigen| Basis {
+        projection,
+        embedding: factor * found.embedding,
+        eigenvalues: eigen.values.map(|eigenvalue| eigenvalue.max(0.0)),
+        relative_noise: noise.relative,
+        ..found
+    }))
+}
+
+/// The same where R is the identity.
+fn basis_of_equal_channels<const GAGES: usize, const RANK: usize>(
+    covariance: &SMatrix<f64, GAGES, GAGES>,
+    samples: u64,
+    noise: &ChannelNoise<GAGES>,
 ) -> Result<Basis<GAGES, RANK>, Refusal> {
     if !(2..=3).contains(&RANK) || RANK > GAGES {
         return Err(unsupported::<GAGES, RANK>());
@@ -64,20 +121,20 @@ pub fn basis<const GAGES: usize, const RANK: usize>(
     // The covariance has no negative eigenvalue; rounding may give it one.
     let eigenvalues = eigen.values.map(|eigenvalue| eigenvalue.max(0.0));
 
-    let floor = (eigenvalues[0] * LEAST_RELATIVE_EIGENVALUE).max(QUANTISATION_VARIANCE);
+    let floor = (eigenvalues[0] * LEAST_RELATIVE_EIGENVALUE).max(noise.rounding);
     let spanned = eigenvalues.iter().take_while(|&&eigenvalue| eigenvalue > floor).count();
     if spanned < RANK {
         return Err(Refusal::RankNotReached { have: small(spanned), need: small(RANK) });
     }
     if GAGES > RANK {
-        let ratio = eigenvalues[RANK - 1] / eigenvalues[RANK].max(QUANTISATION_VARIANCE);
+        let ratio = eigenvalues[RANK - 1] / eigenvalues[RANK].max(noise.rounding);
         if ratio < LEAST_GAP {
             #[expect(clippy::cast_possible_truncation, reason = "a report of three digits")]
             return Err(Refusal::NoEigenvalueGap { ratio: ratio as f32, need: LEAST_GAP as f32 });
         }
     }
     if GAGES > RANK + 1 {
-        let next = eigenvalues[RANK + 1].max(QUANTISATION_VARIANCE);
+        let next = eigenvalues[RANK + 1].max(noise.rounding);
         let share = libm::sqrt(eigenvalues[RANK] / eigenvalues[RANK - 1]);
         if eigenvalues[RANK] > LARGEST_REDUNDANT_RATIO * next && share > LARGEST_EXCESS_SHARE {
             #[expect(clippy::cast_possible_truncation, reason = "a report of three digits")]
@@ -85,9 +142,13 @@ pub fn basis<const GAGES: usize, const RANK: usize>(
         }
     }
     Ok(Basis {
-        vectors,
-        noise_variance: redundant_variance::<GAGES, RANK>(&eigenvalues, samples),
+        projection: vectors,
+        embedding: vectors,
+        variances: eigenvalues.fixed_rows::<RANK>(0).into_owned(),
+        noise_variance: redundant_variance::<GAGES, RANK>(&eigenvalues, samples).or(noise.variance),
         eigenvalues,
+        rounding: noise.rounding,
+        relative_noise: SMatrix::identity(),
     })
 }
 

@@ -15,6 +15,7 @@
 use super::basis::basis;
 use super::code_sums::{CodeSums, MAX_SAMPLES};
 use super::coverage::{Coverage, coverage};
+use super::expectation::Expectation;
 use super::gate::{Gate, Quietness, Verdict};
 use super::metric::LARGEST_RELATIVE_UNCERTAINTY;
 use super::moments::Moments;
@@ -132,41 +133,60 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
         coverage(&self.solve_accepting(ROUGHEST)?.solution)
     }
 
+    /// Has every further sample compared with what a solution expects of it.
+    pub fn expect(&mut self, expectation: Option<Expectation<GAGES>>) {
+        self.gate.expect(expectation);
+    }
+
+    /// Samples so far whose load was of another magnitude than expected, however quiet they were.
+    pub const fn off_magnitude(&self) -> u32 {
+        self.gate.off_magnitude()
+    }
+
     fn solve_accepting<const RANK: usize>(
         &self,
         accepted: f64,
     ) -> Result<QuietSolution<GAGES, RANK>, Refusal> {
-        let mut all = CodeSums::new(*self.by_quietness[0].pivot());
-        for bin in &self.by_quietness {
-            all.add(bin.codes())?;
-        }
+        let all = self.all_codes()?;
         require_samples::<RANK>(all.count())?;
-        let subspace = basis::<GAGES, RANK>(&all.covariance(), all.count())?;
-        let mut best: Option<(f64, QuietSolution<GAGES, RANK>)> = None;
+        let subspace = basis::<GAGES, RANK>(&all.covariance(), all.count(), &self.gate.noise())?;
+        let mut best: Option<QuietSolution<GAGES, RANK>> = None;
         let mut refusal = Refusal::NonFinite;
         let mut quiet: Option<MotionSums<RANK>> = None;
         for (bin, up_to) in self.by_quietness.iter().zip(Quietness::ALL) {
             if bin.count() == 0 {
                 continue;
             }
-            let mut sums = project(bin, &subspace.vectors);
+            let mut sums = project(bin, &subspace.projection);
             if let Some(quieter) = &quiet {
                 sums.add(quieter);
             }
             match solve_within(&subspace, &all, &sums, accepted) {
                 Err(cause) => refusal = cause,
                 Ok(solution) => {
-                    let shift = SHIFT_OVER_UNEXPLAINED * solution.unexplained;
-                    let error = libm::hypot(solution.uncertainty.worst_relative(), shift);
-                    if best.as_ref().is_none_or(|(least, _)| error < *least) {
-                        best = Some((error, QuietSolution { solution, up_to }));
+                    if best.as_ref().is_none_or(|best| error(&solution) < error(&best.solution)) {
+                        best = Some(QuietSolution { solution, up_to });
                     }
                 }
             }
             quiet = Some(sums);
         }
-        best.map(|(_, quiet)| quiet).ok_or(refusal)
+        best.ok_or(refusal)
     }
+
+    #[inline(never)]
+    fn all_codes(&self) -> Result<CodeSums<GAGES>, Refusal> {
+        let mut all = CodeSums::new(*self.by_quietness[0].pivot());
+        for bin in &self.by_quietness {
+            all.add(bin.codes())?;
+        }
+        Ok(all)
+    }
+}
+
+/// The error ε of the worst coefficient that is to be expected of a solution; see above.
+fn error<const GAGES: usize, const RANK: usize>(solution: &TrialSolution<GAGES, RANK>) -> f64 {
+    libm::hypot(solution.uncertainty.worst_relative(), SHIFT_OVER_UNEXPLAINED * solution.unexplained)
 }
 
 fn push<const GAGES: usize, const HIGHER: usize>(

@@ -66,24 +66,35 @@ impl<const RANK: usize> DirectionMoments<RANK> {
         zonal_sum::<RANK>(norms)
     }
 
-    /// ⟨(q·m)ᵏ⟩ for k = 1 … 4.
+    /// ⟨(q·m)ᵏ⟩ for k = 1 … 4. The tensors are symmetric, so that each element stands for all orders of its indices.
     fn powers(&self, q: &SVector<f64, RANK>) -> [f64; 4] {
         let mut powers = [self.first.dot(q), 0.0, 0.0, 0.0];
         for a in 0..RANK {
-            for b in 0..RANK {
+            for b in a..RANK {
                 let ab = q[a] * q[b];
-                powers[1] += ab * self.higher.second[a][b];
-                for c in 0..RANK {
+                powers[1] += orders(&[a, b]) * ab * self.higher.second[a][b];
+                for c in b..RANK {
                     let abc = ab * q[c];
-                    powers[2] += abc * self.higher.third[a][b][c];
-                    for d in 0..RANK {
-                        powers[3] += abc * q[d] * self.higher.fourth[a][b][c][d];
+                    powers[2] += orders(&[a, b, c]) * abc * self.higher.third[a][b][c];
+                    for d in c..RANK {
+                        powers[3] += orders(&[a, b, c, d]) * abc * q[d] * self.higher.fourth[a][b][c][d];
                     }
                 }
             }
         }
         powers
     }
+}
+
+/// In how many orders these ascending indices can be put.
+fn orders(ascending: &[usize]) -> f64 {
+    let (mut orders, mut run, mut last) = (1.0, 0.0, usize::MAX);
+    for (position, &index) in ascending.iter().enumerate() {
+        run = if index == last { run + 1.0 } else { 1.0 };
+        orders *= (position as f64 + 1.0) / run;
+        last = index;
+    }
+    orders
 }
 
 /// Σ (2l + 1) Pₗ(t) in space, 1 + 2 Σ Tₗ(t) in the plane, l up to four, of the mean powers ⟨t⟩ … ⟨t⁴⟩.
@@ -123,8 +134,21 @@ fn direction<const RANK: usize>(components: [f64; 3]) -> SVector<f64, RANK> {
 
 #[cfg(test)]
 mod tests {
-    use super::for_each_direction;
+    use super::{for_each_direction, orders};
     use nalgebra::{Vector2, Vector3};
+
+    #[test]
+    fn the_orders_are_counted() {
+        for (ascending, count) in [
+            ([0, 0, 0, 0], 1.0),
+            ([0, 1, 1, 1], 4.0),
+            ([0, 0, 2, 2], 6.0),
+            ([0, 1, 1, 2], 12.0),
+            ([0, 1, 2, 3], 24.0),
+        ] {
+            assert_eq!(orders(&ascending), count);
+        }
+    }
 
     /// ⟨x²⟩ = 1/3, ⟨x⁴⟩ = 1/5, ⟨x²y²⟩ = 1/15, ⟨x⁶⟩ = 1/7, ⟨x¹⁰⟩ = 1/11 on the sphere; 1/2, 3/8 and 63/256 on the circle.
     #[test]

@@ -26,15 +26,26 @@
 //! the noise stands above the resolution, which is the smallest change of any code seen so far. With σ ≥ 2 steps a channel
 //! repeats itself once in seven samples, and all of two or more channels five times running in 10⁻⁸ of cases.
 //!
+//! # Expectation
+//!
+//! A trial that has been solved once knows what codes to expect ([`super::expectation`]). A block whose codes answer to no load
+//! at this arm is rejected, and forgotten; one that does, but to a load of another magnitude, is classed fast, however quiet
+//! it was: the shape's subspace may be taken from it, the metric not.
+//!
 //! # Limits
 //!
 //! All is counted in samples. At rates so high that the load moves by less than the noise in 28 samples, everything is still,
 //! and a trial is what it would be with no gate.
 
+use super::expectation::{Expectation, Meets};
+use super::rest_noise::{ChannelNoise, RestNoise};
 use crate::units::AdcCode;
 
 /// Samples in a block.
-const BLOCK: usize = 4;
+pub const BLOCK: usize = 4;
+
+/// The same, as samples are counted.
+const BLOCK_SAMPLES: u32 = 4;
 
 /// Blocks to each side of a block by which it is classed.
 const REACH: u32 = 3;
@@ -90,6 +101,8 @@ pub enum Verdict {
     Saturated,
     /// The converter repeats itself.
     Repeated,
+    /// The codes answer to no load at this arm: of this sample and of the last three that were accepted, which make up a block.
+    Contradictory,
 }
 
 /// The gate of one trial, over `GAGES` channels.
@@ -98,7 +111,7 @@ pub struct Gate<const GAGES: usize> {
     last: Option<[AdcCode; GAGES]>,
     /// Identical samples in a row, after the first.
     repeats: u32,
-    /// The smallest change of any code, counts; zero until there is one.
+    /// The smallest change of any code from one sample to the next, counts; zero until there is one.
     step: i32,
     /// The last blocks, by number modulo `WINDOW`; the one after the last complete one is being filled.
     blocks: [Block<GAGES>; WINDOW],
@@ -112,28 +125,49 @@ pub struct Gate<const GAGES: usize> {
     moving: u32,
     /// Class of the last block that was classed.
     latest: Quietness,
+    /// What the blocks at rest tell of the noise.
+    rest_noise: RestNoise<GAGES>,
+    expectation: Option<Expectation<GAGES>>,
+    /// Samples that were classed fast for the magnitude of their load alone.
+    off_magnitude: u32,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Block<const GAGES: usize> {
     codes: [[AdcCode; GAGES]; BLOCK],
+    /// Whether their load is of another magnitude than expected.
+    off_magnitude: bool,
     sum: [i32; GAGES],
     curvature: f32,
 }
 
 impl<const GAGES: usize> Block<GAGES> {
-    const EMPTY: Self = Self { codes: [[AdcCode::ZERO; GAGES]; BLOCK], sum: [0; GAGES], curvature: 0.0 };
+    const EMPTY: Self = Self {
+        codes: [[AdcCode::ZERO; GAGES]; BLOCK],
+        off_magnitude: false,
+        sum: [0; GAGES],
+        curvature: 0.0,
+    };
 
-    /// Sums up the full block.
-    fn complete(&mut self) {
+    /// Sums up the full block, and gives the smallest change of a code from its first sample to the second or from the third
+    /// to the last: `i32::MAX` where there was none.
+    fn complete(&mut self) -> i32 {
         let [a, b, c, d] = &self.codes;
         self.curvature = 0.0;
+        let mut step = i32::MAX;
         for gage in 0..GAGES {
             let [a, b, c, d] = [a, b, c, d].map(|codes| codes[gage].counts());
             self.sum[gage] = (a + b) + (c + d);
-            let (early, late) = ((a - 2 * b + c) as f32, (b - 2 * c + d) as f32);
+            let (first, middle, last) = (b - a, c - b, d - c);
+            let (early, late) = ((middle - first) as f32, (last - middle) as f32);
             self.curvature += early * early + late * late;
+            for change in [first, last] {
+                if change != 0 {
+                    step = step.min(change.abs());
+                }
+            }
         }
+        step
     }
 
     /// ‖s − s'‖², counts².
@@ -167,7 +201,25 @@ impl<const GAGES: usize> Gate<GAGES> {
             usual_change: 0.0,
             moving: 0,
             latest: Quietness::Fast,
+            rest_noise: RestNoise::new(),
+            expectation: None,
+            off_magnitude: 0,
         }
+    }
+
+    /// Has every further sample compared with this.
+    pub fn expect(&mut self, expectation: Option<Expectation<GAGES>>) {
+        self.expectation = expectation;
+    }
+
+    /// Samples so far that were classed fast for the magnitude of their load alone.
+    pub const fn off_magnitude(&self) -> u32 {
+        self.off_magnitude
+    }
+
+    /// What the rests so far tell of the noise of the channels.
+    pub fn noise(&self) -> ChannelNoise<GAGES> {
+        self.rest_noise.channels(self.step)
     }
 
     /// Takes in one sample; `take` gets the earlier samples that are classed by it, in their order.
@@ -185,19 +237,28 @@ impl<const GAGES: usize> Gate<GAGES> {
         let block = &mut self.blocks[self.complete as usize % WINDOW];
         block.codes[self.filled] = *codes;
         self.filled += 1;
-        if self.filled == BLOCK {
-            block.complete();
-            self.filled = 0;
-            let newest = self.complete;
-            self.complete = self.complete.wrapping_add(1);
-            if let Some(number) = newest.checked_sub(REACH) {
-                self.release(number, newest, take);
-            }
+        if self.filled < BLOCK {
+            return Verdict::Accepted;
+        }
+        self.filled = 0;
+        let step = block.complete();
+        if step < i32::MAX && (self.step == 0 || step < self.step) {
+            self.step = step;
+        }
+        let meets = self.expectation.as_ref().map_or(Meets::Both, |expected| expected.judge(&block.sum));
+        if meets == Meets::Neither {
+            return Verdict::Contradictory;
+        }
+        block.off_magnitude = meets != Meets::Both;
+        let newest = self.complete;
+        self.complete = self.complete.wrapping_add(1);
+        if let Some(number) = newest.checked_sub(REACH) {
+            self.release(number, newest, take);
         }
         Verdict::Accepted
     }
 
-    /// Hands out the samples that still wait, classed by what there is, and forgets them.
+    /// Hands out the samples that still wait, classed by what there is. What was learnt of the noise stays.
     pub fn finish(&mut self, take: &mut impl FnMut(Quietness, &[AdcCode; GAGES])) {
         if let Some(newest) = self.complete.checked_sub(1) {
             for number in (newest + 1).saturating_sub(REACH)..=newest {
@@ -205,26 +266,16 @@ impl<const GAGES: usize> Gate<GAGES> {
             }
         }
         // Too few for a block: they go with the block before.
-        let rest = &self.blocks[self.complete as usize % WINDOW].codes[..self.filled];
-        for codes in rest {
-            take(self.latest, codes);
-        }
-        *self = Self::new();
+        let last = self.complete as usize % WINDOW;
+        self.blocks[last].off_magnitude = false;
+        self.hand_out(last, self.filled, take);
+        (self.complete, self.filled) = (0, 0);
+        (self.last, self.repeats) = (None, 0);
     }
 
     fn is_suspicious_repetition(&mut self, codes: &[AdcCode; GAGES]) -> bool {
-        let Some(last) = self.last.replace(*codes) else { return false };
-        let mut changed = false;
-        for gage in 0..GAGES {
-            let change = (codes[gage].counts() - last[gage].counts()).abs();
-            if change != 0 {
-                changed = true;
-                if self.step == 0 || change < self.step {
-                    self.step = change;
-                }
-            }
-        }
-        if changed {
+        if self.last.as_ref() != Some(codes) {
+            self.last = Some(*codes);
             self.repeats = 0;
             return false;
         }
@@ -241,8 +292,28 @@ impl<const GAGES: usize> Gate<GAGES> {
     /// Classes block `number` and hands out its samples.
     fn release(&mut self, number: u32, newest: u32, take: &mut impl FnMut(Quietness, &[AdcCode; GAGES])) {
         self.latest = self.class(number, newest);
-        for codes in &self.blocks[number as usize % WINDOW].codes {
-            take(self.latest, codes);
+        let place = number as usize % WINDOW;
+        if self.latest == Quietness::Still {
+            self.rest_noise.take(&self.blocks[place].codes);
+        }
+        self.hand_out(place, BLOCK, take);
+    }
+
+    /// Hands out the first samples of a block, in its class.
+    fn hand_out(
+        &mut self,
+        place: usize,
+        samples: usize,
+        take: &mut impl FnMut(Quietness, &[AdcCode; GAGES]),
+    ) {
+        let Block { codes, off_magnitude, .. } = &self.blocks[place];
+        let mut quietness = self.latest;
+        if *off_magnitude && quietness != Quietness::Fast {
+            self.off_magnitude = self.off_magnitude.saturating_add(BLOCK_SAMPLES);
+            quietness = Quietness::Fast;
+        }
+        for codes in codes.iter().take(samples) {
+            take(quietness, codes);
         }
     }
 

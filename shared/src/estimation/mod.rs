@@ -10,11 +10,13 @@
 //! |---|---|---|
 //! | [`gate`] | which samples are measurements, and how quiet the load was | design § 5 |
 //! | [`moments`], [`code_sums`] | one pass over the codes: exact sums, Gram matrix, sums of degree 3 and 4 | design § 2 |
+//! | [`rest_noise`] | the noise of the channels, while the load hangs still | design § 3.1 |
 //! | [`basis`] | the p×p eigenproblem in place of the SVD of Z; noise from the redundant eigenvalues | eq. 7–9, design § 3.1 |
 //! | [`projection`], [`motion_moments`] | the moments in the r coordinates of the basis | design § 3.2 |
 //! | [`metric`] | the constraint |m| = 1, with free centre | eq. 13, design § 3.3 |
 //! | [`shape`] | shape and bias of one trial | eq. 10, 11, design § 3.4 |
 //! | [`bins`] | sums by quietness, and how much of them to solve from | design § 5 |
+//! | [`expectation`] | what a trial that was solved once expects of its samples | design § 5, § 8 |
 //! | [`directions`] | where the load has been | |
 //! | [`uncertainty`] | how well shape and bias are known | design § 4 |
 //! | [`coverage`] | what is still to be seen, and which way to turn the load for it | design § 4 |
@@ -32,6 +34,7 @@ pub mod code_sums;
 pub mod coverage;
 pub mod directions;
 mod eigen;
+pub mod expectation;
 pub mod gate;
 pub mod metric;
 pub mod moments;
@@ -39,5 +42,6 @@ mod monomials;
 pub mod motion_moments;
 pub mod projection;
 mod quadric;
+pub mod rest_noise;
 pub mod shape;
 pub mod uncertainty;

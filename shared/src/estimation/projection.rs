@@ -24,6 +24,9 @@ pub struct MotionSums<const RANK: usize> {
 }
 
 /// Projects settled moments onto `basis` (p × r, one coordinate a column).
+///
+/// Never inlined: on the sensor the stack that it takes must be free again before the solution goes on.
+#[inline(never)]
 pub fn project<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
     moments: &Moments<GAGES, HIGHER>,
     basis: &SMatrix<f64, GAGES, RANK>,
@@ -89,47 +92,15 @@ fn rotate<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
     moments: &Moments<GAGES, HIGHER>,
     basis: &SMatrix<f64, GAGES, RANK>,
 ) -> (Third<RANK>, Fourth<RANK>) {
-    // First index: quartics become one coordinate and three channels, cubics one coordinate and two channels.
-    let mut one_of_four = [[[[0.0; GAGES]; GAGES]; GAGES]; RANK];
-    let mut one_of_three = [[[0.0; GAGES]; GAGES]; RANK];
-    let mut sums = moments.higher_sums().iter();
-    for_each_higher_monomial(GAGES, |monomial| {
-        let Some(&sum) = sums.next() else { return };
-        for a in 0..RANK {
-            match monomial {
-                HigherMonomial::Cubic([i, j, k]) => {
-                    let into = &mut one_of_three[a];
-                    into[j][k] += basis[(i, a)] * sum;
-                    if j != i {
-                        into[i][k] += basis[(j, a)] * sum;
-                    }
-                    if k != j {
-                        into[i][j] += basis[(k, a)] * sum;
-                    }
-                }
-                HigherMonomial::Quartic([i, j, k, l]) => {
-                    let into = &mut one_of_four[a];
-                    into[j][k][l] += basis[(i, a)] * sum;
-                    if j != i {
-                        into[i][k][l] += basis[(j, a)] * sum;
-                    }
-                    if k != j {
-                        into[i][j][l] += basis[(k, a)] * sum;
-                    }
-                    if l != k {
-                        into[i][j][k] += basis[(l, a)] * sum;
-                    }
-                }
-            }
-        }
-    });
-
     let mut third = [[[0.0; RANK]; RANK]; RANK];
     let mut fourth = [[[[0.0; RANK]; RANK]; RANK]; RANK];
+    // The largest array of the whole solution: there is one of it.
+    let mut triples = [[[0.0; GAGES]; GAGES]; GAGES];
     for a in 0..RANK {
+        let pairs = take_from_sums(moments, basis, a, &mut triples);
         for b in a..RANK {
-            let two_of_three = take_from_pairs(&one_of_three[a], basis, b);
-            let two_of_four = take_from_triples(&one_of_four[a], basis, b);
+            let two_of_three = take_from_pairs(&pairs, basis, b);
+            let two_of_four = take_from_triples(&triples, basis, b);
             for c in b..RANK {
                 fill_third(&mut third, [a, b, c], along(&two_of_three, basis, c));
                 let three_of_four = take_from_pairs(&two_of_four, basis, c);
@@ -140,6 +111,49 @@ fn rotate<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
         }
     }
     (third, fourth)
+}
+
+type Pairs<const GAGES: usize> = [[f64; GAGES]; GAGES];
+type Triples<const GAGES: usize> = [[[f64; GAGES]; GAGES]; GAGES];
+
+/// Takes one channel out of every sum and rotates it onto coordinate `axis`: of cubics ascending pairs remain, of quartics
+/// ascending `triples`.
+fn take_from_sums<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
+    moments: &Moments<GAGES, HIGHER>,
+    basis: &SMatrix<f64, GAGES, RANK>,
+    axis: usize,
+    triples: &mut Triples<GAGES>,
+) -> Pairs<GAGES> {
+    let mut pairs = [[0.0; GAGES]; GAGES];
+    triples.as_flattened_mut().as_flattened_mut().fill(0.0);
+    let mut sums = moments.higher_sums().iter();
+    for_each_higher_monomial(GAGES, |monomial| {
+        let Some(&sum) = sums.next() else { return };
+        match monomial {
+            HigherMonomial::Cubic([i, j, k]) => {
+                pairs[j][k] += basis[(i, axis)] * sum;
+                if j != i {
+                    pairs[i][k] += basis[(j, axis)] * sum;
+                }
+                if k != j {
+                    pairs[i][j] += basis[(k, axis)] * sum;
+                }
+            }
+            HigherMonomial::Quartic([i, j, k, l]) => {
+                triples[j][k][l] += basis[(i, axis)] * sum;
+                if j != i {
+                    triples[i][k][l] += basis[(j, axis)] * sum;
+                }
+                if k != j {
+                    triples[i][j][l] += basis[(k, axis)] * sum;
+                }
+                if l != k {
+                    triples[i][j][k] += basis[(l, axis)] * sum;
+                }
+            }
+        }
+    });
+    pairs
 }
 
 /// Takes one channel out of ascending triples and rotates it onto coordinate `axis`: ascending pairs remain.

@@ -9,6 +9,7 @@ use super::eigen::symmetric_eigen;
 use super::metric::{LARGEST_RELATIVE_UNCERTAINTY, metric, require_indifference_to_noise};
 use super::moments::Moments;
 use super::projection::{MotionSums, project};
+use super::rest_noise::ChannelNoise;
 use super::uncertainty::{Regressors, TrialUncertainty, predict};
 use crate::refusal::Refusal;
 
@@ -22,12 +23,20 @@ pub struct TrialSolution<const GAGES: usize, const RANK: usize> {
     pub bias_counts: SVector<f64, GAGES>,
     /// Eigenvalues of the covariance of the codes (p), descending, counts².
     pub eigenvalues: SVector<f64, GAGES>,
-    /// Variance of the noise of one channel, counts²; `None` where p = r leaves no redundant eigenvalue to tell it.
+    /// Variance of the noise of one channel, counts²; the mean over the channels; `None` where p = r leaves
+    /// no redundant eigenvalue to tell it, and no rest does.
     pub noise_variance: Option<f64>,
     /// Samples that took part.
     pub samples: u64,
     /// Variance of |m|² that the noise does not explain.
     pub unexplained: f64,
+    /// C (r × p), per unit load: the load m = C(z − b) of a sample, by least squares weighted by the channels' noise.
+    pub to_load: SMatrix<f64, RANK, GAGES>,
+    /// Covariance of the noise of that load (r × r).
+    pub load_noise: SMatrix<f64, RANK, RANK>,
+    /// Covariance of the noise that remains, (I − SᵀC)e, over [`noise_variance`](Self::noise_variance) (p × p): where all
+    /// channels are equally noisy, the projection onto the redundant directions of the codes.
+    pub redundant_noise: SMatrix<f64, GAGES, GAGES>,
     /// Where the load has been, in the orientation of the shape.
     pub directions: DirectionMoments<RANK>,
     /// How well shape and bias are known.
@@ -40,7 +49,7 @@ pub const fn least_samples(rank: usize) -> u64 {
     (rank * (rank + 1) + 2 * rank) as u64
 }
 
-/// Solves one trial from its settled moments.
+/// Solves one trial from its settled moments, of a converter whose steps are whole codes and of whose noise nothing is known.
 ///
 /// # Errors
 ///
@@ -49,8 +58,9 @@ pub fn solve_trial<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
     moments: &Moments<GAGES, HIGHER>,
 ) -> Result<TrialSolution<GAGES, RANK>, Refusal> {
     require_samples::<RANK>(moments.count())?;
-    let subspace = basis::<GAGES, RANK>(&moments.codes().covariance(), moments.count())?;
-    let quiet = project(moments, &subspace.vectors);
+    let noise = ChannelNoise::unknown(1);
+    let subspace = basis::<GAGES, RANK>(&moments.codes().covariance(), moments.count(), &noise)?;
+    let quiet = project(moments, &subspace.projection);
     solve_within(&subspace, moments.codes(), &quiet, LARGEST_RELATIVE_UNCERTAINTY)
 }
 
@@ -68,6 +78,7 @@ pub(crate) const fn require_samples<const RANK: usize>(samples: u64) -> Result<(
 /// # Errors
 ///
 /// [`Refusal::TooFewSamples`], and every refusal of [`metric`].
+#[inline(never)]
 pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
     subspace: &Basis<GAGES, RANK>,
     all: &CodeSums<GAGES>,
@@ -76,21 +87,23 @@ pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
 ) -> Result<TrialSolution<GAGES, RANK>, Refusal> {
     let samples = quiet.samples();
     require_samples::<RANK>(samples)?;
-    let &Basis { vectors, eigenvalues, noise_variance } = subspace;
-
-    let variances = eigenvalues.fixed_rows::<RANK>(0).into_owned();
+    let &Basis { projection, embedding, variances, eigenvalues, noise_variance, rounding, relative_noise } =
+        subspace;
     let deviations = variances.map(libm::sqrt);
     let whitening = SMatrix::<f64, RANK, RANK>::from_diagonal(&deviations.map(|deviation| 1.0 / deviation));
-    let whitened_noise = variances.map(|variance| noise_variance.unwrap_or(0.0) / variance);
+    // Where nothing tells the noise, there is at least the rounding.
+    let noise = noise_variance.unwrap_or(rounding);
+    let whitened_noise = variances.map(|variance| noise / variance);
     let whitened = quiet.central().transformed(&whitening);
     let metric = metric(&whitened, &whitened_noise, samples, accepted)?;
     if noise_variance.is_none() {
         require_indifference_to_noise(&whitened, &variances, &metric, samples, accepted)?;
     }
 
-    // M = LLᵀ makes m = Lᵀ(x − c) a unit vector, so z = b + V*Λ^½L⁻ᵀm: A = L⁻¹ in eq. 11, with Ŝ = Λ^½V*ᵀ.
+    // M = LLᵀ makes m = Lᵀ(x − c) a unit vector, so z = b + VΛ^½L⁻ᵀm, V being the embedding: A = L⁻¹ in eq. 11, with
+    // Ŝ = Λ^½Vᵀ.
     let factor = Cholesky::new(metric.matrix).ok_or(Refusal::MetricNotPositiveDefinite)?;
-    let indeterminate_shape = SMatrix::<f64, RANK, RANK>::from_diagonal(&deviations) * vectors.transpose();
+    let indeterminate_shape = SMatrix::<f64, RANK, RANK>::from_diagonal(&deviations) * embedding.transpose();
     let shape =
         factor.l().solve_lower_triangular(&indeterminate_shape).ok_or(Refusal::MetricNotPositiveDefinite)?;
     // The orientation is arbitrary, so it is chosen: rows orthogonal, longest first.
@@ -98,9 +111,9 @@ pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
     let orientation = principal.vectors.transpose();
     let shape_counts_per_load = orientation * shape;
     // Across the subspace there is but the bias, and every sample tells it.
-    let quiet_from_all = quiet.mean() - vectors.transpose() * all.mean_difference();
+    let quiet_from_all = quiet.mean() - projection.transpose() * all.mean_difference();
     let bias_counts =
-        all.mean_counts() + vectors * quiet_from_all + indeterminate_shape.transpose() * metric.centre;
+        all.mean_counts() + embedding * quiet_from_all + indeterminate_shape.transpose() * metric.centre;
 
     let to_direction = orientation * factor.l().transpose();
     let central = whitened.without_noise(&whitened_noise).transformed(&to_direction);
@@ -113,9 +126,8 @@ pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
             + mean_of_all * mean_of_all.transpose(),
         samples: all.count(),
     };
-    let noise = noise_variance.unwrap_or(0.0);
-    let uncertainty =
-        predict(&directions, &regressors, &principal.values, noise, metric.unexplained, samples)?;
+    let load_noise = to_direction * SMatrix::from_diagonal(&whitened_noise) * to_direction.transpose();
+    let uncertainty = predict(&directions, &regressors, &load_noise, noise, metric.unexplained, samples)?;
 
     if shape_counts_per_load.iter().chain(bias_counts.iter()).any(|element| !element.is_finite()) {
         return Err(Refusal::NonFinite);
@@ -127,6 +139,9 @@ pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
         noise_variance,
         samples,
         unexplained: metric.unexplained,
+        to_load: to_direction * whitening * projection.transpose(),
+        load_noise,
+        redundant_noise: relative_noise - embedding * embedding.transpose(),
         directions,
         uncertainty,
     })

@@ -1,19 +1,22 @@
 //! How well one trial knows its shape and bias, from the same moments (design § 4).
 //!
-//! Let SSᵀ = diag(g), which the trial's canonical orientation makes it. Errors of S and b come from two places:
+//! Let SSᵀ = diag(g), which the trial's canonical orientation makes it, and R the covariance of the channels' noise over the mean
+//! σ² of its diagonal. Errors of S and b come from two places:
 //!
 //! 1. **Along the shape.** The metric constraint says |m|² = 1 + mᵀEm + hᵀm + noise of variance
-//!    v(m) = 4 mᵀDm + 2 tr D² + u, where D = σ² diag(1/g) is the noise of m and u whatever else disturbs the
-//!    magnitude. With φ(m) the products mₐm_b and the mₐ, Ψ = ⟨φφᵀ⟩:
+//!    v(m) = 4 mᵀDm + 2 tr D² + u, where D = σ²(SR⁻¹Sᵀ)⁻¹ is the noise of m (σ² diag(1/g) where R = I) and u whatever else
+//!    disturbs the magnitude. With φ(m) the products mₐm_b and the mₐ, Ψ = ⟨φφᵀ⟩:
 //!    cov(E, h) = Ψ⁻¹ ⟨φφᵀ v⟩ Ψ⁻¹ / n. Then δS = (E/2) S and δb = Sᵀh/2. The orientation is arbitrary, so the answer is given
 //!    for the orientation closest to the truth, where δS Sᵀ is symmetric: element (a, b) of E/2 counts 2gₐ/(gₐ + g_b)
 //!    times.
 //! 2. **Across it**, in the p − r redundant directions of the codes, S and b are a linear regression on (m, 1):
-//!    covariance σ² (n ⟨(m, 1)(m, 1)ᵀ⟩)⁻¹ in every such direction.
+//!    covariance σ² (n ⟨(m, 1)(m, 1)ᵀ⟩)⁻¹ ⊗ P, where P = R − Sᵀ(SR⁻¹Sᵀ)⁻¹S is what the noise has there (the projection onto
+//!    them where R = I).
 
 use nalgebra::{Cholesky, SMatrix, SVector};
 
 use super::directions::{DirectionMoments, for_each_direction};
+use super::eigen::symmetric_eigen;
 use super::quadric::{Coefficients, UNKNOWNS, linear_position, monomials, normal_matrix, product_position};
 use crate::refusal::Refusal;
 
@@ -25,7 +28,7 @@ const REGRESSORS: usize = 4;
 pub struct TrialUncertainty<const RANK: usize> {
     /// Of the elements of E/2 (a ≤ b), then of h/2: relative to the shape, and to the load.
     along: SMatrix<f64, UNKNOWNS, UNKNOWNS>,
-    /// Of the regression on (m, 1), counts², in every redundant direction of the codes.
+    /// Of the regression on (m, 1), counts², in every redundant direction of the codes: the factor before P.
     across: SMatrix<f64, REGRESSORS, REGRESSORS>,
 }
 
@@ -43,9 +46,9 @@ pub struct Regressors<const RANK: usize> {
 
 /// Predicts the uncertainty of a trial whose metric was taken from `samples` samples.
 ///
-/// `directions` are the moments of m in the orientation in which SSᵀ = diag(`gains_squared`), counts²; `noise_variance` is that of
-/// one channel, counts² (zero where it is not known: it is then part of `unexplained`), and `unexplained` the variance of
-/// |m|² that is not noise.
+/// `directions` are the moments of m in the orientation in which SSᵀ is diagonal; `load_noise` is D, `noise_variance` σ²,
+/// counts² (what rounding alone gives where it is not known: the rest is then part of `unexplained`), and `unexplained` the
+/// variance of |m|² that is not noise.
 ///
 /// # Errors
 ///
@@ -53,24 +56,29 @@ pub struct Regressors<const RANK: usize> {
 pub fn predict<const RANK: usize>(
     directions: &DirectionMoments<RANK>,
     regressors: &Regressors<RANK>,
-    gains_squared: &SVector<f64, RANK>,
+    load_noise: &SMatrix<f64, RANK, RANK>,
     noise_variance: f64,
     unexplained: f64,
     samples: u64,
 ) -> Result<TrialUncertainty<RANK>, Refusal> {
     let undetermined = Refusal::MotionDoesNotSpan { relative_uncertainty: f32::INFINITY, need: 1.0 };
-    let noise = gains_squared.map(|gain| noise_variance / gain);
-    let least_noise = noise.min();
-    let constant = 4.0 * least_noise + 2.0 * noise.norm_squared() + unexplained;
+    let least_noise = symmetric_eigen(load_noise)?.values.min();
+    let constant = 4.0 * least_noise + 2.0 * load_noise.norm_squared() + unexplained;
 
     // Ψ, and E[φφᵀ v] with the constant part of v exactly and the rest over the directions.
     let normal = normal_matrix(&directions.higher);
     let mut spread = normal * constant;
     for_each_direction(|m: SVector<f64, RANK>, weight| {
-        let excess: f64 = (0..RANK).map(|a| (noise[a] - least_noise) * m[a] * m[a]).sum();
+        let excess = m.dot(&(load_noise * m)) - least_noise;
         let phi = monomials(&m);
-        spread += phi * phi.transpose() * (4.0 * excess * weight * directions.density(&m));
+        let scaled = phi * (4.0 * excess * weight * directions.density(&m));
+        for row in 0..UNKNOWNS {
+            for column in row..UNKNOWNS {
+                spread[(row, column)] += scaled[row] * phi[column];
+            }
+        }
     });
+    spread.fill_lower_triangle_with_upper_triangle();
     let inverse = Cholesky::new(normal).ok_or(undetermined)?.inverse();
     let halves = Coefficients::from_fn(|position, _| half::<RANK>(position));
     let along =
@@ -101,25 +109,18 @@ impl<const RANK: usize> TrialUncertainty<RANK> {
     }
 
     /// Covariance across the shape: of the regression on m and, last, on 1, counts², in every redundant direction of
-    /// the codes. At rank 2 the third row and column mean nothing.
+    /// the codes: to be multiplied by P. At rank 2 the third row and column mean nothing.
     pub const fn across(&self) -> &SMatrix<f64, REGRESSORS, REGRESSORS> {
         &self.across
     }
 
-    /// Standard deviations of the elements of `shape` (r × p, counts per unit load, rows orthogonal), up to its
-    /// orientation.
-    pub fn shape_deviation<const GAGES: usize>(
-        &self,
-        shape: &SMatrix<f64, RANK, GAGES>,
-    ) -> SMatrix<f64, RANK, GAGES> {
-        self.turned_shape_deviation(shape, &SMatrix::identity())
-    }
-
     /// Standard deviations of the elements of `turn · shape`, where `turn` (r × r, orthogonal) brings the shape into an
-    /// orientation given from outside: element (a, gage) of turn·δS gathers the errors of every row of δS.
+    /// orientation given from outside: element (a, gage) of turn·δS gathers the errors of every row of δS. The shape is r × p,
+    /// counts per unit load, its rows orthogonal, and `redundant_noise` (p × p) is P.
     pub fn turned_shape_deviation<const GAGES: usize>(
         &self,
         shape: &SMatrix<f64, RANK, GAGES>,
+        redundant_noise: &SMatrix<f64, GAGES, GAGES>,
         turn: &SMatrix<f64, RANK, RANK>,
     ) -> SMatrix<f64, RANK, GAGES> {
         let gains = SVector::<f64, RANK>::from_fn(|a, _| shape.row(a).norm_squared());
@@ -134,16 +135,16 @@ impl<const RANK: usize> TrialUncertainty<RANK> {
                 }
             }
             let along = gradient.dot(&(self.along * gradient));
-            libm::sqrt((along + across * redundant_share(shape, &gains, gage)).max(0.0))
+            libm::sqrt((along + across * redundant_noise[(gage, gage)]).max(0.0))
         })
     }
 
-    /// Standard deviations of the bias (p), counts.
+    /// Standard deviations of the bias (p), counts. For the arguments see [`Self::turned_shape_deviation`].
     pub fn bias_deviation<const GAGES: usize>(
         &self,
         shape: &SMatrix<f64, RANK, GAGES>,
+        redundant_noise: &SMatrix<f64, GAGES, GAGES>,
     ) -> SVector<f64, GAGES> {
-        let gains = SVector::<f64, RANK>::from_fn(|a, _| shape.row(a).norm_squared());
         let last = REGRESSORS - 1;
         SVector::from_fn(|gage, _| {
             let mut gradient = Coefficients::zeros();
@@ -151,7 +152,7 @@ impl<const RANK: usize> TrialUncertainty<RANK> {
                 gradient[linear_position::<RANK>(a)] = shape[(a, gage)];
             }
             let along = gradient.dot(&(self.along * gradient));
-            libm::sqrt((along + self.across[(last, last)] * redundant_share(shape, &gains, gage)).max(0.0))
+            libm::sqrt((along + self.across[(last, last)] * redundant_noise[(gage, gage)]).max(0.0))
         })
     }
 
@@ -163,16 +164,6 @@ impl<const RANK: usize> TrialUncertainty<RANK> {
                 .fold(0.0, f64::max),
         )
     }
-}
-
-/// How much of one gage lies in the redundant directions of the codes: the diagonal of I − Sᵀ(SSᵀ)⁻¹S.
-fn redundant_share<const GAGES: usize, const RANK: usize>(
-    shape: &SMatrix<f64, RANK, GAGES>,
-    gains_squared: &SVector<f64, RANK>,
-    gage: usize,
-) -> f64 {
-    let spanned: f64 = (0..RANK).map(|a| shape[(a, gage)] * shape[(a, gage)] / gains_squared[a]).sum();
-    (1.0 - spanned).max(0.0)
 }
 
 /// What turns a coefficient of φ into an element of E/2 or h/2: E stands twice in a product of different components.

@@ -54,6 +54,7 @@ impl AdcCode {
 
     /// Whether the converter stood at an end of its range.
     pub const fn is_saturated(self) -> bool {
-        self.0 == Self::MIN.0 || self.0 == Self::MAX.0
+        // The complement of the least code is the largest: so both ends are one number.
+        self.0 ^ (self.0 >> (i32::BITS - 1)) == Self::MAX.0
     }
 }

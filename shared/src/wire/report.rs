@@ -83,6 +83,12 @@ pub struct TrialStatus {
     pub repeated: u32,
     /// Samples that the solution leaves out because the load moved too much; zero before the trial is solved.
     pub moving: u32,
+    /// Samples rejected because their codes answer to no load at this arm, once a first solution tells.
+    pub contradictory: u32,
+    /// Samples that the solution leaves out because the load was of another magnitude; zero before the trial is solved.
+    pub off_magnitude: u32,
+    /// Samples that came while the sums were being worked on, and are lost to the trial.
+    pub unattended: u32,
 }
 
 /// What a trial is doing.

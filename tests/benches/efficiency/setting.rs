@@ -64,9 +64,9 @@ impl<const GAGES: usize, const RANK: usize> Comparison<GAGES, RANK> {
         let turn = procrustes(&truth.shape, shape);
         Self {
             shape_error: turn * shape - truth.shape,
-            shape_deviation: answer.uncertainty.turned_shape_deviation(shape, &turn),
+            shape_deviation: answer.uncertainty.turned_shape_deviation(shape, &answer.redundant_noise, &turn),
             bias_error: answer.bias_counts - truth.bias,
-            bias_deviation: answer.uncertainty.bias_deviation(shape),
+            bias_deviation: answer.uncertainty.bias_deviation(shape, &answer.redundant_noise),
         }
     }
 
