@@ -38,8 +38,8 @@ pub fn rested(recording: &Recording) -> Option<Rested> {
     let samples = SampleCounts::new(
         verdicts.len() as u64,
         &[
-            (Rejection::Saturated, rejected(&|outcome| *outcome == Outcome::Saturated)),
-            (Rejection::Repeated, rejected(&|outcome| *outcome == Outcome::Repeated)),
+            (Rejection::Saturated, rejected(&|outcome| *outcome == Outcome::Rejected(Rejection::Saturated))),
+            (Rejection::Repeated, rejected(&|outcome| *outcome == Outcome::Rejected(Rejection::Repeated))),
             (Rejection::Moving, rejected(&|outcome| measured(outcome) && !takes(outcome))),
         ],
     );
@@ -49,8 +49,7 @@ pub fn rested(recording: &Recording) -> Option<Rested> {
 /// What became of a sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Outcome {
-    Saturated,
-    Repeated,
+    Rejected(Rejection),
     Measured(Quietness),
 }
 
@@ -81,8 +80,10 @@ fn of_gages<const GAGES: usize>(recording: &Recording) -> Vec<Outcome> {
     gate.finish(&mut note);
     let mut classes = classes.into_iter();
     let outcome = |verdict| match verdict {
-        Verdict::Saturated => Outcome::Saturated,
-        Verdict::Repeated => Outcome::Repeated,
+        Verdict::Saturated => Outcome::Rejected(Rejection::Saturated),
+        Verdict::Repeated => Outcome::Rejected(Rejection::Repeated),
+        // Only of a gate that is told what to expect.
+        Verdict::Contradictory => Outcome::Rejected(Rejection::Parity),
         Verdict::Accepted => Outcome::Measured(classes.next().unwrap_or(Quietness::Fast)),
     };
     verdicts.into_iter().map(outcome).collect()
