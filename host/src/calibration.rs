@@ -19,12 +19,16 @@
 //! | [`joint`] | orientations, true shape, arms and masses from all trials at once |
 //! | [`staged`] | the paper's way instead: trial by trial, then stacked |
 //! | [`consistency`] | there: what trials allow each other |
+//! | [`cause`] | there: why a hand is not settled |
 //! | [`handedness`] | there, and for force sensors: rotation or mirror image, proven or refused |
 //! | [`fusion`] | true shape from oriented trials at several arms |
 //! | [`procrustes`] | the turn from one shape onto another |
 //! | [`mod@reference`] | orientation from a stored calibration |
+//! | [`drift`] | how far the sensor has moved since |
 //! | [`linearity`] | whether the sensor is linear, at one load and from one to another |
-//! | [`verification`] | the check of a calibration in the field |
+//! | [`accuracy`] | what a calibration promises of the loads it measures |
+//! | [`verification`], [`parity`] | the check of a calibration in the field: its magnitude, its gages |
+//! | [`rest`] | which samples of a recording are at rest |
 //! | [`matrix`] | calibration matrix of a shape |
 //! | [`singular`] | the decomposition that several of these rest on |
 //! | [`least_squares`] | the paper's reference: known loads alone (eq. 3) |
@@ -35,10 +39,13 @@
 //! Frames: a trial's own frame is arbitrary (orthogonal to the sensor frame, perhaps mirrored); everything oriented is
 //! in the sensor frame. Torques are about the origin of the sensor frame, torque = arm × force.
 
+pub mod accuracy;
 pub mod alignment;
+pub mod cause;
 pub mod consistency;
 pub mod covariance;
 pub mod coverage;
+pub mod drift;
 pub mod evidence;
 pub mod fusion;
 pub mod handedness;
@@ -48,10 +55,12 @@ pub mod least_squares;
 pub mod linearity;
 pub mod matrix;
 pub mod motion;
+pub mod parity;
 pub mod procrustes;
 pub mod reference;
 pub mod refinement;
 pub mod refusal;
+pub mod rest;
 pub mod singular;
 pub mod staged;
 pub mod trial;
@@ -64,18 +73,21 @@ mod end_to_end;
 #[cfg(test)]
 pub(crate) mod synthetic;
 
+use ftcal_shared::estimation::metric::LARGEST_RELATIVE_UNCERTAINTY;
+use ftcal_shared::refusal::Refusal;
 use ftcal_shared::units::Dof;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-use self::joint::uncertainty::{Uncertainty, propagate};
+use self::drift::Drift;
+use self::joint::uncertainty::{Premises, Propagated, Uncertainty, propagate};
 use self::known_load::LoadCase;
 use self::linearity::CheckRecord;
 use self::matrix::matrix_of_shape;
-use self::reference::Drift;
 use self::singular::Singular;
 use self::trial::{SampleCounts, TrialShape};
 use self::turning::Turned;
+use crate::gravity::Gravity;
 
 pub use self::refusal::CalibrationRefusal;
 
@@ -219,15 +231,33 @@ pub struct SolutionRecord {
 /// # Errors
 ///
 /// Every [`CalibrationRefusal`] but those of least squares.
-pub fn calibrate(dof: Dof, gravity: f64, trials: &[SolvedTrial]) -> Result<Calibration, CalibrationRefusal> {
+pub fn calibrate(
+    dof: Dof,
+    gravity: impl Into<Gravity>,
+    trials: &[SolvedTrial],
+) -> Result<Calibration, CalibrationRefusal> {
     require_gages(dof, trials)?;
-    let solved = joint::solve(dof, gravity, trials)?;
+    require_motion(trials)?;
+    let gravity = gravity.into();
+    let solved =
+        joint::solve(dof, gravity.magnitude, trials).map_err(|refusal| cause::named(refusal, trials))?;
+    let (calibration, _) = of_joint_solution(dof, gravity, trials, &solved)?;
+    Ok(calibration)
+}
+
+/// The calibration that a joint solution gives, and what is known of its uncertainty.
+fn of_joint_solution(
+    dof: Dof,
+    gravity: Gravity,
+    trials: &[SolvedTrial],
+    solved: &joint::Solved,
+) -> Result<(Calibration, Option<Propagated>), CalibrationRefusal> {
     let bias_counts = common_bias(trials)?;
     let shape = solved.shape();
-    let newtons: Vec<f64> = trials.iter().map(|trial| trial.case.mass_kg * gravity).collect();
-    let bias_covariance = bias_covariance(trials);
-    let propagated =
-        propagate(&solved.problem, &solved.answer.fit, &newtons, &bias_covariance, solved.strain);
+    let newtons: Vec<f64> = trials.iter().map(|trial| trial.case.mass_kg * gravity.magnitude).collect();
+    let bias = &bias_covariance(trials);
+    let premises = Premises { gravity, newtons: &newtons, bias, strain: solved.strain };
+    let propagated = propagate(&solved.problem, &solved.answer.fit, &premises);
     let wrench_error = propagated.as_ref().map_or(f64::INFINITY, |propagated| propagated.wrench_error);
     require_certain(&solved.answer.fit.state.shape, wrench_error)?;
     let matrix = matrix_of_shape(&shape).map_err(|_| CalibrationRefusal::ShapeRankDeficient)?;
@@ -236,22 +266,23 @@ pub fn calibrate(dof: Dof, gravity: f64, trials: &[SolvedTrial]) -> Result<Calib
         .zip(&solved.evidence)
         .enumerate()
         .map(|(index, (trial, &evidence))| trial.record(solved.alignment_residual_deg(index), evidence));
-    Calibration {
+    let calibration = Calibration {
         dof,
         method: Method::Sfm,
-        gravity,
+        gravity: gravity.magnitude,
         matrix,
         bias_counts,
         bias: BiasOrigin::Estimated,
         shape,
         handedness: Handedness::Proven,
         fusion_residual: solved.residual(),
-        uncertainty: propagated.map(|propagated| propagated.uncertainty),
+        uncertainty: propagated.as_ref().map(|propagated| propagated.uncertainty.clone()),
         trials: records.collect(),
         checks: Vec::new(),
         drift: None,
     }
-    .finite()
+    .finite()?;
+    Ok((calibration, propagated))
 }
 
 impl Calibration {
@@ -317,6 +348,24 @@ fn require_gages(dof: Dof, trials: &[SolvedTrial]) -> Result<(), CalibrationRefu
     let gages = trials.first().map_or(0, |trial| trial.shape.gages());
     if gages < dof.count() {
         return Err(CalibrationRefusal::TooFewGages { gages, need: dof.count() });
+    }
+    Ok(())
+}
+
+/// Refuses a trial whose motion leaves its gains open: nothing that follows would be right for the right reason.
+fn require_motion(trials: &[SolvedTrial]) -> Result<(), CalibrationRefusal> {
+    for (trial, solved) in trials.iter().enumerate() {
+        // A principal value of the constraint is a gain squared, off by twice as much.
+        let relative_uncertainty = 2.0 * solved.shape.covariance.gain_deviation();
+        let spans = relative_uncertainty <= LARGEST_RELATIVE_UNCERTAINTY;
+        if !spans {
+            #[expect(clippy::cast_possible_truncation, reason = "for words, not for numbers")]
+            let refusal = Refusal::MotionDoesNotSpan {
+                relative_uncertainty: relative_uncertainty as f32,
+                need: LARGEST_RELATIVE_UNCERTAINTY as f32,
+            };
+            return Err(CalibrationRefusal::Trial { trial, refusal });
+        }
     }
     Ok(())
 }

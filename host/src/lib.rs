@@ -6,6 +6,7 @@ pub mod cli;
 pub mod commands;
 pub mod demo;
 pub mod flash;
+pub mod gravity;
 pub mod link;
 pub mod place;
 pub mod plots;

@@ -3,10 +3,19 @@
 //! The cause is a fixed identifier that scripts may rely on; the detail says what was found, with numbers and units; the
 //! remedy says what to do next.
 
+mod estimation;
+mod field;
+
+#[cfg(test)]
+mod tests;
+
 use ftcal_shared::refusal::Refusal;
 use serde::Serialize;
 
 use crate::calibration::CalibrationRefusal;
+
+pub use self::estimation::estimation;
+pub use self::field::{gage_suspect, verification_failed};
 
 /// A refusal in words.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -22,100 +31,6 @@ pub struct Explained {
 impl Explained {
     fn new(cause: &'static str, detail: impl Into<String>, remedy: &'static str) -> Self {
         Self { cause, detail: detail.into(), remedy }
-    }
-}
-
-/// Explains why the estimator gives no answer.
-pub fn estimation(refusal: &Refusal) -> Explained {
-    match *refusal {
-        Refusal::TooFewSamples { have, need } => Explained::new(
-            "too-few-samples",
-            format!("{have} usable samples, at least {need} are needed"),
-            "Record longer, turning the load through all directions.",
-        ),
-        Refusal::RankNotReached { have: 2, need: 3 } => Explained::new(
-            "planar-motion",
-            "the codes vary in two independent directions: the load was turned in one plane, or the sensor is planar",
-            "Turn the load out of the plane, too: through every direction of space; for a planar sensor ask for rank 2.",
-        ),
-        Refusal::RankNotReached { have, need } => Explained::new(
-            "rank-not-reached",
-            format!("the codes vary in {have} independent directions, {need} are needed"),
-            "Turn the load through more directions; if you did, ask for the rank that this sensor's motion has.",
-        ),
-        Refusal::NoEigenvalueGap { ratio, need } => Explained::new(
-            "no-eigenvalue-gap",
-            format!(
-                "the weakest direction of the signal has {ratio:.1} times the variance of the noise, {need:.1} times \
-                 are needed"
-            ),
-            "Use a larger mass or turn the load through all directions; check that the rank is the sensor's, and that no channel \
-             jumps, sticks or clips.",
-        ),
-        Refusal::MotionDoesNotSpan { relative_uncertainty, need } => Explained::new(
-            "motion-does-not-span",
-            if relative_uncertainty < 2.0 {
-                format!(
-                    "the motion fixes the sensor's gains only within {:.1} % (at most {:.1} % is accepted)",
-                    50.0 * relative_uncertainty,
-                    50.0 * need
-                )
-            } else {
-                "the motion leaves some of the sensor's gains entirely open".to_owned()
-            },
-            "Record again and turn the load all the way round, through every direction, also the opposite ones.",
-        ),
-        Refusal::MetricNotPositiveDefinite => Explained::new(
-            "metric-not-positive-definite",
-            "the codes lie on no ellipsoid, so no load of constant magnitude made them",
-            "Let one constant mass hang freely and turn slowly; check that the rank is the sensor's.",
-        ),
-        Refusal::MagnitudeNotConstant { scatter, limit } => Explained::new(
-            "magnitude-not-constant",
-            format!(
-                "the recovered load's magnitude varies by {:.0} % beyond noise (at most {:.0} % is accepted)",
-                100.0 * scatter,
-                100.0 * limit
-            ),
-            "Let one constant mass hang from the first sample to the last, and turn it slowly; record again.",
-        ),
-        Refusal::RankExceeded { share, limit } => Explained::new(
-            "rank-exceeded",
-            format!(
-                "beyond the rank asked for, the codes vary in a further direction by {:.1} % of the weakest signal (at \
-                 most {:.1} % is accepted)",
-                100.0 * share,
-                100.0 * limit
-            ),
-            "Ask for the rank of the load's motion; if you did, look for a channel that clips, jumps or is not linear.",
-        ),
-        Refusal::NonFinite => Explained::new(
-            "non-finite",
-            "a number left the range of floating point",
-            "Check the recording for values that no converter delivers.",
-        ),
-        Refusal::Saturated { samples } => Explained::new(
-            "saturated",
-            format!(
-                "{samples} samples stand at an end of the converter's range, and too few others are left"
-            ),
-            "Use a smaller mass or a lower gain.",
-        ),
-        Refusal::OverflowAhead { samples } => Explained::new(
-            "overflow-ahead",
-            format!("{samples} samples are as many as the exact sums hold"),
-            "Record a shorter trial.",
-        ),
-        Refusal::PivotsDiffer => Explained::new(
-            "pivots-differ",
-            "two parts of a trial were summed about different pivots",
-            "Start the trial anew.",
-        ),
-        Refusal::UnsupportedDimensions { gages, rank } => Explained::new(
-            "unsupported-dimensions",
-            format!("a trial of rank {rank} with {gages} gages is not possible"),
-            "Ask for rank 2 (planar) or 3 (spatial), with at least as many gages as the rank and at most twelve.",
-        ),
     }
 }
 
@@ -229,6 +144,15 @@ pub fn calibration(refusal: &CalibrationRefusal) -> Explained {
              of the arms (in the plane: from their line) and from its normal, however roughly known; for a force sensor \
              a third one out of the plane of the other two; for a planar sensor one in another direction, or `turning`.",
         ),
+        CalibrationRefusal::LoadsInPlaneOfArms { trials } => Explained::new(
+            "coplanar-loads-and-arms",
+            format!(
+                "{}: a mirror image fits as well, because every known load lies in the plane of the arms or along its normal",
+                numbered(trials)
+            ),
+            "Add to each of these trials a known load whose direction is about halfway between that plane and its normal (in the \
+             plane: between the line of the arms and its normal), however roughly known (`accuracy_deg = 30`).",
+        ),
         CalibrationRefusal::TooManyUndecided { trials } => Explained::new(
             "too-many-undecided",
             format!("{}: each may be a mirror image, too many to try all combinations", numbered(trials)),
@@ -313,140 +237,30 @@ pub fn calibration(refusal: &CalibrationRefusal) -> Explained {
              same, add `--allow-nonlinear`.",
             )
         }
-        CalibrationRefusal::ReferenceDiffers { trial, drift, other_hand, need } => Explained::new(
+        CalibrationRefusal::ReferenceDiffers { trial, drift, other_hand, scale, need } => Explained::new(
             "reference-differs",
             format!(
                 "trial {}: turned any way, it differs from the stored calibration by {:.1} % (its mirror image by \
-                 {:.1} %); up to {:.0} % can be told from a turn",
+                 {:.1} %); up to {:.0} % can be told from a turn; its response is {scale:.3} times the stored one",
                 trial + 1,
                 100.0 * drift,
                 100.0 * other_hand,
                 100.0 * need
             ),
-            "Check that it is the same sensor at the same gain, and the trial's mass and arm; otherwise calibrate anew, with \
-             known loads.",
+            "Check that it is the same sensor, and the trial's mass and arm; a response of 2, 4 or 8 times the stored one, or a half, is \
+             another gain of the converter; otherwise calibrate anew, with known loads.",
+        ),
+        CalibrationRefusal::GagesDiffer { trial, gages, stored } => Explained::new(
+            "gages-differ",
+            format!("trial {}: its recording has {gages} gages, the stored calibration {stored}", trial + 1),
+            "Give the stored calibration of this very sensor, and record every one of its gages.",
         ),
         CalibrationRefusal::NonFinite => estimation(&Refusal::NonFinite),
     }
-}
-
-/// Explains why a calibration fails its field check.
-pub fn verification_failed(mean_n: f64, expected_n: f64, deviation_n: f64) -> Explained {
-    Explained::new(
-        "verification-failed",
-        format!(
-            "the sensor measures {mean_n:.4} N where {expected_n:.4} N hang on it: {:.1} times the predicted standard \
-             deviation",
-            (mean_n - expected_n).abs() / deviation_n
-        ),
-        "Check the mass (all that hangs on the sensor) and that it hung at rest; if they are right, calibrate anew.",
-    )
-}
-
-/// Explains which gage fails the field check.
-pub fn gage_suspect(gage: usize, deviations: f64) -> Explained {
-    Explained::new(
-        "gage-suspect",
-        format!(
-            "the gages contradict each other; ch{gage} is farthest off, by {deviations:.1} standard deviations"
-        ),
-        "Check the wiring of that gage; if it is sound, or the temperature has changed, calibrate anew.",
-    )
 }
 
 /// "trial 1", "trials 1, 2, 3": counted from one.
 fn numbered(trials: &[usize]) -> String {
     let numbers: Vec<String> = trials.iter().map(|trial| (trial + 1).to_string()).collect();
     format!("trial{} {}", if trials.len() == 1 { "" } else { "s" }, numbers.join(", "))
-}
-
-#[cfg(test)]
-mod tests {
-    use std::collections::BTreeSet;
-
-    use ftcal_shared::refusal::Refusal;
-
-    use super::{Explained, calibration, estimation, gage_suspect, verification_failed};
-    use crate::calibration::CalibrationRefusal;
-    use crate::calibration::turning::Swept;
-
-    fn estimation_refusals() -> Vec<Refusal> {
-        vec![
-            Refusal::TooFewSamples { have: 3, need: 18 },
-            Refusal::RankNotReached { have: 2, need: 3 },
-            Refusal::RankNotReached { have: 1, need: 3 },
-            Refusal::NoEigenvalueGap { ratio: 1.5, need: 10.0 },
-            Refusal::MotionDoesNotSpan { relative_uncertainty: 0.3, need: 0.1 },
-            Refusal::MetricNotPositiveDefinite,
-            Refusal::NonFinite,
-            Refusal::Saturated { samples: 100 },
-            Refusal::OverflowAhead { samples: 1 << 32 },
-            Refusal::PivotsDiffer,
-            Refusal::UnsupportedDimensions { gages: 2, rank: 3 },
-        ]
-    }
-
-    fn calibration_refusals() -> Vec<CalibrationRefusal> {
-        let trial = 0;
-        vec![
-            CalibrationRefusal::NoKnownLoad { trial },
-            CalibrationRefusal::KnownLoadsDoNotOrient { trial, loads: 1, uncertainty_deg: f64::INFINITY },
-            CalibrationRefusal::KnownLoadsContradict { trial, load: 1, angle_deg: 20.0 },
-            CalibrationRefusal::KnownLoadMagnitude { trial, load: 1, magnitude: 1.3 },
-            CalibrationRefusal::KnownLoadNotAtRest { trial, load: 1, drift_deg: 3.0 },
-            CalibrationRefusal::KnownLoadSaturated { trial, load: 1 },
-            CalibrationRefusal::TurningUnclear { trial, swept: Swept::default() },
-            CalibrationRefusal::TurningContradicts { trial },
-            CalibrationRefusal::HandednessNotSettled { trials: vec![0, 2], margin: 0.0, need: 25.0 },
-            CalibrationRefusal::TooManyUndecided { trials: vec![0, 1] },
-            CalibrationRefusal::TrialsContradict { residual: 0.2, ratio: 30.0 },
-            CalibrationRefusal::MassesContradict { trial, ratio: 1.1 },
-            CalibrationRefusal::TooFewArms { have: 2, need: 3 },
-            CalibrationRefusal::ArmsEqual { arms: 3, spread_m: 1e-4 },
-            CalibrationRefusal::ArmsCollinear { arms: 3 },
-            CalibrationRefusal::FusionUncertain { wrench_error: 0.5, need: 0.25 },
-            CalibrationRefusal::BiasesDisagree { trial, counts: 1e4, signal_counts: 1e5 },
-            CalibrationRefusal::TooFewGages { gages: 4, need: 6 },
-            CalibrationRefusal::ShapeRankDeficient,
-            CalibrationRefusal::TooFewKnownLoads { have: 5, need: 6 },
-            CalibrationRefusal::KnownLoadsDoNotSpan { have: 5, need: 6 },
-            CalibrationRefusal::KnownLoadsNotLinear { residual: 0.5, need: 0.2 },
-            CalibrationRefusal::NotLinear {
-                trial,
-                redundant_counts: 100.0,
-                rest_counts: 1.0,
-                signal_counts: 1e4,
-            },
-            CalibrationRefusal::ReferenceDiffers { trial, drift: 0.4, other_hand: 1.5, need: 0.1 },
-        ]
-    }
-
-    #[test]
-    fn every_cause_has_an_identifier_of_its_own_and_every_remedy_is_a_sentence() {
-        let explained: Vec<Explained> = estimation_refusals()
-            .iter()
-            .map(estimation)
-            .chain(calibration_refusals().iter().map(calibration))
-            .chain([verification_failed(9.0, 10.0, 0.1), gage_suspect(3, 20.0)])
-            .collect();
-        let causes: BTreeSet<&str> = explained.iter().map(|explained| explained.cause).collect();
-        assert_eq!(causes.len(), explained.len());
-        for Explained { cause, detail, remedy } in &explained {
-            assert!(
-                cause.chars().all(|character| character.is_ascii_lowercase() || character == '-'),
-                "{cause}"
-            );
-            assert!(remedy.ends_with('.') && remedy.starts_with(char::is_uppercase), "{remedy}");
-            assert!(!detail.is_empty() && !detail.contains("NaN") && !detail.contains("  "), "{detail}");
-        }
-    }
-
-    #[test]
-    fn a_refused_trial_is_named_and_keeps_its_cause() {
-        for refusal in estimation_refusals() {
-            let explained = calibration(&CalibrationRefusal::Trial { trial: 2, refusal });
-            assert_eq!(explained.cause, estimation(&refusal).cause);
-            assert!(explained.detail.starts_with("trial 3: "));
-        }
-    }
 }

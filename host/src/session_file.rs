@@ -2,7 +2,8 @@
 //!
 //! ```toml
 //! dof = "spatial-force-torque"    # or planar-force, spatial-force, planar-force-torque
-//! gravity = 9.80665               # local, m/s²; this is the default
+//! gravity = 9.812                 # local, m/s²; 9.80665 where nothing is said, which is a guess within 0.015
+//! gravity_accuracy = 0.001        # one standard deviation; half a unit of the last decimal where nothing is said
 //!
 //! [[trial]]
 //! recording = "arm1.csv"          # relative to this file
@@ -30,11 +31,11 @@ use ftcal_shared::units::Dof;
 use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 
+use crate::gravity::Gravity;
 use crate::place::Place;
 use crate::recording::shown;
 
-/// Standard gravity, m/s².
-pub const STANDARD_GRAVITY: f64 = 9.80665;
+pub use crate::gravity::STANDARD_GRAVITY;
 
 /// A checked session.
 #[derive(Clone, Debug)]
@@ -43,8 +44,8 @@ pub struct Session {
     pub file: PathBuf,
     /// What the sensor measures.
     pub dof: Dof,
-    /// Local gravity, m/s².
-    pub gravity: f64,
+    /// Local gravity, where the session says anything of it.
+    pub gravity: Option<Gravity>,
     /// The trials, at least one.
     pub trials: Vec<SessionTrial>,
 }
@@ -212,7 +213,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    use super::{Rest, Role, Session, SessionError, Turning};
+    use super::{Gravity, Rest, Role, Session, SessionError, Turning};
     use crate::place::Place;
 
     const WRIST: &str = r#"dof = "spatial-force-torque"
@@ -254,7 +255,7 @@ accuracy_deg = 0.2
     fn a_session_is_read_as_the_contract_says() {
         let session = parse(WRIST).expect("a session");
         assert_eq!(session.dof, Dof::SpatialForceTorque);
-        assert!((session.gravity - super::STANDARD_GRAVITY).abs() < f64::EPSILON);
+        assert_eq!(session.gravity, None);
         let [trial] = session.trials.as_slice() else { panic!("one trial") };
         assert_eq!(trial.recording, PathBuf::from("folder/arm1.csv"));
         assert_eq!(trial.arm_m.as_slice(), [0.05, 0.0, 0.1]);
@@ -277,8 +278,9 @@ accuracy_deg = 0.2
 
     #[test]
     fn every_error_says_where() {
-        let cases: [(&str, &str, &str, (usize, usize)); 24] = [
+        let cases: [(&str, &str, &str, (usize, usize)); 28] = [
             (WRIST, "\"spatial-force-torque\"", "\"six-axis\"", (1, 7)),
+            (WRIST, "\"spatial-force-torque\"", "3", (1, 7)),
             (WRIST, "mass_kg = 2", "mass_kg = 0", (4, 11)),
             (WRIST, "mass_kg = 2", "mass_kg = -2.5", (4, 11)),
             (WRIST, "mass_kg = 2", "mass_kg = nan", (4, 11)),
@@ -299,6 +301,9 @@ accuracy_deg = 0.2
             (WRIST, "accuracy_deg = 0.1", "accuracy_deg = -0.1", (9, 16)),
             (WRIST, "recording = \"arm1.csv\"", "recording = \"\"", (3, 13)),
             (FINGERTIP, "9.81", "981", (2, 11)),
+            (FINGERTIP, "9.81", "9.81\ngravity_accuracy = -0.1", (3, 20)),
+            (FINGERTIP, "9.81", "9.81\ngravity_accuracy = 9.81", (3, 20)),
+            (FINGERTIP, "9.81", "9.81\ngravity_accuracy = nan", (3, 20)),
             (FINGERTIP, "[0.0, -1.0, 0]", "[0.0, -1.0, 0.1]", (9, 13)),
             (FINGERTIP, "mass_kg = 0.1114", "mass_kg = 0.1114\narm_m = [0.0, 0.1]", (6, 9)),
             (FINGERTIP, "\"clockwise\"", "\"left\"", (6, 11)),
@@ -320,6 +325,32 @@ accuracy_deg = 0.2
         place_of_error(&format!("dof = \"spatial-force-torque\"\n{check}"));
         place_of_error(&WRIST.replace("mass_kg = 2", "mass_kg = 2\nrole = \"check\""));
         place_of_error(&WRIST.replace("mass_kg = 2", "mass_kg = 2\nrole = \"other\""));
+    }
+
+    #[test]
+    fn gravity_and_its_accuracy_come_as_they_are_stated() {
+        let of = |lines: &str| {
+            let text = WRIST.replacen("[[trial]]", &format!("{lines}\n[[trial]]"), 1);
+            parse(&text).expect("a session").gravity
+        };
+        assert_eq!(of(""), None);
+        assert_eq!(of("gravity = 9.81"), Some(Gravity::stated(9.81, None)));
+        let both = Some(Gravity { magnitude: 9.81, accuracy: 0.002 });
+        assert_eq!(of("gravity = 9.81\ngravity_accuracy = 0.002"), both);
+        // Of standard gravity, too, somebody may know how far he is from it.
+        let near = Some(Gravity { magnitude: Gravity::ASSUMED.magnitude, accuracy: 0.002 });
+        assert_eq!(of("gravity_accuracy = 0.002"), near);
+    }
+
+    #[test]
+    fn another_dof_is_told_which_there_are() {
+        for dof in ["3", "\"six-axis\"", "[1]"] {
+            let error =
+                parse(&WRIST.replacen("\"spatial-force-torque\"", dof, 1)).expect_err("no such sensor");
+            for name in ["planar-force", "spatial-force", "planar-force-torque", "spatial-force-torque"] {
+                assert!(error.to_string().contains(&format!("`{name}`")), "{error}");
+            }
+        }
     }
 
     #[test]

@@ -139,7 +139,7 @@ fn the_planar_force_torque_sensor_is_recovered_from_two_arms() {
         // Arms that differ along the load: the mirror image fits as well.
         let trials = [[0.0, 0.1], [-0.0, -0.05]].map(|arm| sensor.trial(1.0, &arm, &one));
         let refusal = solve(&sensor, &trials).expect_err("a mirror image fits");
-        assert!(matches!(refusal, CalibrationRefusal::HandednessNotSettled { .. }), "{refusal:?}");
+        assert!(matches!(refusal, CalibrationRefusal::LoadsInPlaneOfArms { .. }), "{refusal:?}");
     }
 }
 
@@ -163,9 +163,7 @@ fn arms_in_the_plane_of_two_loads_leave_a_mirror_image() {
         let arms = [[0.1, 0.0, 0.05], [-0.1, 0.0, 0.05], [0.0, 0.0, 0.12]];
         let trials = arms.map(|arm| sensor.trial(2.0, &arm, &rests(PRECISE, &two())));
         let refusal = solve(&sensor, &trials).expect_err("the all-mirrored answer fits");
-        assert!(
-            matches!(&refusal, CalibrationRefusal::HandednessNotSettled { trials, .. } if trials.len() == 3)
-        );
+        assert!(matches!(&refusal, CalibrationRefusal::LoadsInPlaneOfArms { trials } if trials.len() == 3));
     }
 }
 
@@ -192,7 +190,7 @@ fn no_near_degenerate_geometry_gives_a_wrong_answer() {
             Err(refusal) => {
                 refused += 1;
                 assert!(
-                    matches!(refusal, CalibrationRefusal::HandednessNotSettled { .. }),
+                    matches!(refusal, CalibrationRefusal::LoadsInPlaneOfArms { .. }),
                     "{seed}: {refusal:?}"
                 );
             }

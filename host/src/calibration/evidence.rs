@@ -10,6 +10,7 @@ use super::motion;
 use super::trial::Gating;
 use super::turning::{Turned, swept};
 use super::{Calibration, CalibrationRefusal, Method, SolvedTrial, least_squares, reference, staged, trial};
+use crate::gravity::Gravity;
 use crate::place::Place;
 use crate::recording::{Recording, RecordingError, WindowError, shown};
 use crate::session_file::{Rest, Role, Session, SessionError, SessionTrial};
@@ -88,9 +89,10 @@ pub fn calibrate(
     approach: Approach,
 ) -> Result<Calibration, CalibrationFailure> {
     let mut reader = Reader { session, approach, gages: None };
-    let (dof, gravity) = (session.dof, session.gravity);
+    let (dof, local) = (session.dof, session.gravity.unwrap_or(Gravity::ASSUMED));
+    let gravity = local.magnitude;
     let calibration = match method {
-        Method::Sfm => super::calibrate(dof, gravity, &reader.fitted()?),
+        Method::Sfm => super::calibrate(dof, local, &reader.fitted()?),
         Method::SfmPaper => staged::calibrate(dof, gravity, &reader.fitted()?),
         Method::LeastSquares => {
             let mut cases = Vec::with_capacity(session.trials.len());
@@ -110,7 +112,8 @@ pub fn calibrate(
     reader.checked(calibration)
 }
 
-/// Calibrates a sensor from a session and the calibration that it has: no known load is needed, and none is used.
+/// Calibrates a sensor from a session and the calibration that it has: no known load is needed, and none orients it. Of local
+/// gravity the stored calibration knows where the session says nothing.
 ///
 /// # Errors
 ///
@@ -121,8 +124,15 @@ pub fn recalibrate(
     approach: Approach,
 ) -> Result<Calibration, CalibrationFailure> {
     let mut reader = Reader { session, approach, gages: None };
-    let calibration = reference::recalibrate(stored, session.gravity, &reader.fitted()?);
+    let gravity = session.gravity.unwrap_or_else(|| gravity_of(stored));
+    let calibration = reference::recalibrate(stored, gravity, &reader.fitted()?);
     reader.checked(calibration)
+}
+
+/// Local gravity where a calibration was made.
+fn gravity_of(stored: &Calibration) -> Gravity {
+    let accuracy = stored.uncertainty.as_ref().and_then(|uncertainty| uncertainty.gravity_accuracy);
+    Gravity::stated(stored.gravity, accuracy)
 }
 
 /// How the trials of a session are taken.

@@ -5,11 +5,13 @@
 //!   surface (design § 8). Only a rest tells, since more noise is the other explanation.
 //! * **From one load to another.** Shape from motion turns one magnitude and cannot tell whether twice the load gives twice the
 //!   signal. A trial at another mass can: its shape, turned onto the one that the calibration predicts at its arm (orthogonal
-//!   Procrustes, [`super::procrustes`]), must be that shape. It is never fitted.
+//!   Procrustes, [`super::procrustes`]), must be that shape. It is never fitted. The calibration's uncertainty
+//!   ([`super::accuracy`]), the mass's and the trial's own explain part of what is left; only what is beyond is the sensor's.
 
 use ftcal_shared::estimation::rest_noise::QUANTISATION_VARIANCE;
 use serde::{Deserialize, Serialize};
 
+use super::accuracy::wrench_deviation;
 use super::known_load::{KnownLoad, squashing_matrix};
 use super::procrustes::onto;
 use super::{Calibration, CalibrationRefusal, SolvedTrial};
@@ -25,6 +27,9 @@ const LEAST_NONLINEARITY: f64 = 3e-3;
 
 /// The fewest samples of a rest that tell its noise: within a fifth at two channels.
 const LEAST_REST_SAMPLES: u64 = 20;
+
+/// How many standard deviations of what the uncertainty explains are still explained by it.
+const EXPLAINED: f64 = 3.0;
 
 /// Whether a sensor that is not linear is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,8 +52,27 @@ pub struct CheckRecord {
     pub arm_m: Vec<f64>,
     /// Response of the gages over what the calibration predicts for this load: one for a linear sensor.
     pub scale: f64,
+    /// Standard deviation that the uncertainties of calibration, mass and trial give the scale.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scale_uncertainty: Option<f64>,
     /// The part of the response that is not that scale times the prediction, relative.
     pub residual: f64,
+    /// The residual that the uncertainties of calibration and trial give, root mean square.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub residual_uncertainty: Option<f64>,
+    /// Whether they explain both; absent where the calibration states no uncertainty.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub verdict: Option<CheckVerdict>,
+}
+
+/// Whether the sensor is linear from the loads of the calibration to that of a check, as far as that can be told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum CheckVerdict {
+    /// What is off is within three standard deviations.
+    WithinUncertainty,
+    /// It is not.
+    BeyondUncertainty,
 }
 
 /// Refuses a trial (numbered from zero) whose codes leave the directions of a linear sensor. Where no rest tells the noise,
@@ -86,12 +110,29 @@ pub fn check(calibration: &Calibration, trial: &SolvedTrial) -> CheckRecord {
     let found = onto(&trial.shape.shape_counts_per_load, &predicted).turned;
     let scale = found.dot(&predicted) / predicted.norm_squared();
     let residual = (&found - &predicted * scale).norm() / predicted.norm();
+    let deviations = wrench_deviation(calibration).map(|of_calibration| {
+        let own = &trial.shape.covariance;
+        let mass = trial.case.mass_accuracy_kg / trial.case.mass_kg;
+        let shape =
+            trial.shape.shape_deviation_counts_per_load().norm() / trial.shape.shape_counts_per_load.norm();
+        (of_calibration.hypot(mass).hypot(own.gain_deviation()), of_calibration.hypot(shape))
+    });
+    let verdict = deviations.map(|(of_scale, of_residual)| {
+        if (scale - 1.0).abs() <= EXPLAINED * of_scale && residual <= EXPLAINED * of_residual {
+            CheckVerdict::WithinUncertainty
+        } else {
+            CheckVerdict::BeyondUncertainty
+        }
+    });
     CheckRecord {
         recording: trial.case.name.clone(),
         mass_kg: trial.case.mass_kg,
         arm_m: trial.case.arm_m.iter().copied().collect(),
         scale,
+        scale_uncertainty: deviations.map(|(of_scale, _)| of_scale),
         residual,
+        residual_uncertainty: deviations.map(|(_, of_residual)| of_residual),
+        verdict,
     }
 }
 
@@ -100,10 +141,10 @@ mod tests {
     use ftcal_shared::units::Dof;
     use nalgebra::DVector;
 
-    use super::{check, require_linear};
+    use super::{CheckVerdict, check, require_linear};
     use crate::calibration::known_load::{KnownLoad, LoadCase, average};
     use crate::calibration::synthetic::{Rests, Sensor, spatial, sphere};
-    use crate::calibration::{CalibrationRefusal, SolvedTrial, calibrate, trial};
+    use crate::calibration::{Calibration, CalibrationRefusal, SolvedTrial, calibrate, trial};
     use crate::recording::Recording;
     use crate::session_file::STANDARD_GRAVITY;
 
@@ -170,8 +211,14 @@ mod tests {
         let linear = check(&calibration, &sensor.trial(4.0, &[], &none));
         // Noise is 0.01 % of the load in 1500 samples.
         assert!((linear.scale - 1.0).abs() < 1e-4 && linear.residual < 1e-3, "{linear:?}");
+        assert_eq!(linear.verdict, Some(CheckVerdict::WithinUncertainty), "{linear:?}");
         sensor.shape *= 0.97;
         let soft = check(&calibration, &sensor.trial(4.0, &[], &none));
         assert!((soft.scale - 0.97).abs() < 1e-4 && soft.residual < 1e-3, "{soft:?}");
+        // Masses are known to 0.1 %, so that 3 % is far beyond.
+        assert_eq!(soft.verdict, Some(CheckVerdict::BeyondUncertainty), "{soft:?}");
+
+        let silent = Calibration { uncertainty: None, ..calibration };
+        assert_eq!(check(&silent, &sensor.trial(4.0, &[], &none)).verdict, None);
     }
 }

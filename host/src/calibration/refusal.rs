@@ -83,6 +83,11 @@ pub enum CalibrationRefusal {
         /// By how much it would have to.
         need: f64,
     },
+    /// A mirror image fits as well: the known loads lie in the plane of the arms, or along its normal.
+    LoadsInPlaneOfArms {
+        /// The trials that may be mirrored.
+        trials: Vec<usize>,
+    },
     /// Too many trials may be mirrored to try all combinations.
     TooManyUndecided {
         /// The trials.
@@ -186,8 +191,19 @@ pub enum CalibrationRefusal {
         drift: f64,
         /// The same for the trial's mirror image.
         other_hand: f64,
+        /// The size of the trial's shape over that of the stored one.
+        scale: f64,
         /// The largest drift that is told from a turn.
         need: f64,
+    },
+    /// A trial has other gages than the stored calibration.
+    GagesDiffer {
+        /// The trial.
+        trial: usize,
+        /// Its gages.
+        gages: usize,
+        /// Those of the stored calibration.
+        stored: usize,
     },
     /// A result is not finite.
     NonFinite,
@@ -210,8 +226,11 @@ impl CalibrationRefusal {
             | Self::MassesContradict { trial, .. }
             | Self::BiasesDisagree { trial, .. }
             | Self::NotLinear { trial, .. }
+            | Self::GagesDiffer { trial, .. }
             | Self::ReferenceDiffers { trial, .. } => *trial = number(*trial),
-            Self::HandednessNotSettled { trials, .. } | Self::TooManyUndecided { trials } => {
+            Self::HandednessNotSettled { trials, .. }
+            | Self::LoadsInPlaneOfArms { trials }
+            | Self::TooManyUndecided { trials } => {
                 for trial in trials {
                     *trial = number(*trial);
                 }

@@ -9,8 +9,8 @@ use nalgebra::DMatrix;
 use super::fusion::Stack;
 use super::matrix::matrix_of_shape;
 use super::{
-    BiasOrigin, Calibration, CalibrationRefusal, Handedness, Method, SolvedTrial, alignment, common_bias,
-    handedness, require_certain, require_gages,
+    BiasOrigin, Calibration, CalibrationRefusal, Handedness, Method, SolvedTrial, alignment, cause,
+    common_bias, handedness, require_certain, require_gages, require_motion,
 };
 
 /// Calibrates trial by trial: aligns, proves, stacks.
@@ -20,12 +20,14 @@ use super::{
 /// Every [`CalibrationRefusal`] but those of least squares.
 pub fn calibrate(dof: Dof, gravity: f64, trials: &[SolvedTrial]) -> Result<Calibration, CalibrationRefusal> {
     require_gages(dof, trials)?;
+    require_motion(trials)?;
     let mut alignments = Vec::with_capacity(trials.len());
     for (index, SolvedTrial { case, shape, .. }) in trials.iter().enumerate() {
         alignments.push(alignment::align(index, case, shape)?);
     }
     let arms = Stack::new(dof, &trials.iter().map(|trial| &trial.case.arm_m).collect::<Vec<_>>())?;
-    let proven = handedness::prove(trials, &alignments, &arms, gravity)?;
+    let proven = handedness::prove(trials, &alignments, &arms, gravity)
+        .map_err(|refusal| cause::named(refusal, trials))?;
     let bias_counts = common_bias(trials)?;
     let shapes: Vec<DMatrix<f64>> = proven.oriented.iter().map(|trial| trial.shape.clone()).collect();
     let fused = arms.fuse(&shapes);

@@ -1,32 +1,32 @@
 //! The field check: does a calibrated sensor still measure a known mass, and are its gages sound (design § 8)?
 //!
-//! * **Magnitude.** The mean of |f| over the samples against m·g. What difference is to be expected is predicted from what the
-//!   calibration file tells of its own making ([`predicted_deviation`]) and from the accuracy of the mass now on the sensor.
-//! * **Parity.** With more gages than components, (I − SᵀC)(z − b) is zero but for noise, whatever the load. It is the projection
-//!   of the codes onto the p − m redundant directions. Its square sum over the noise is χ² with p − m degrees of freedom a
-//!   sample; the gage whose share, standardised by what the projector leaves of it, is largest is the one that is off. The
-//!   shape itself is not known better than [`shape_deviation`], which counts as noise here, since it shows under load only.
+//! The mean of |f| over the samples at rest, or over all where the load never rests, is compared with m·g. What difference is to be
+//! expected is the root of the sum of the squares of
+//!
+//! * what the calibration promises at its full load F ([`super::accuracy`]), in the ratio of the loads, and of its bias, which does not
+//!   fall with the load; for a calibration that states no uncertainty, what its trials' records suggest ([`suggested_deviation`]);
+//! * the accuracy of the mass that hangs there now. Where it is one of the calibration's own masses, that is counted twice: nobody
+//!   says so, and the check is the milder for it;
+//! * local gravity, only where the check is made elsewhere: at the place of the calibration it cancels;
+//! * the noise of the samples.
+//!
+//! The gages are judged by their parity ([`super::parity`]).
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DVector;
 use serde::Serialize;
 
-use super::alignment::MODEL_ERROR;
+use super::Calibration;
+use super::accuracy::{force_deviation, full_load_n, gravity_deviation};
 use super::consistency::MASS_ACCURACY;
 use super::motion::magnitude;
-use super::{Calibration, SolutionRecord};
+use super::parity::{Parity, noise_counts, parity, shape_deviation};
+use super::rest::{Rested, rested};
+use super::trial::SampleCounts;
+use crate::gravity::Gravity;
 use crate::recording::Recording;
 
 /// How many predicted standard deviations the magnitude may be off: beyond, one good sensor in 370 fails.
 pub const LARGEST_DIFFERENCE: f64 = 3.0;
-
-/// How many standard deviations the parity of a gage may be off. Its noise is known well, what the shape adds to it is not.
-pub const LARGEST_PARITY: f64 = 5.0;
-
-/// The least share of a gage in the redundant directions with which its parity says anything of it.
-const LEAST_SHARE: f64 = 1e-6;
-
-/// Variance of the rounding to whole counts, counts².
-const QUANTISATION_VARIANCE: f64 = 1.0 / 12.0;
 
 /// What the field check finds.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -39,25 +39,18 @@ pub struct Verification {
     pub difference_n: f64,
     /// Standard deviation of that difference, as predicted, newton.
     pub predicted_deviation_n: f64,
-    /// Whether the magnitude is within three of these.
+    /// The part of it that is the calibration's, newton.
+    pub calibration_deviation_n: f64,
+    /// Whether the calibration states that part itself.
+    pub calibration_states_it: bool,
+    /// The part of it that is the mass's, newton.
+    pub mass_deviation_n: f64,
+    /// Whether the magnitude is within three standard deviations.
     pub magnitude_passed: bool,
     /// Health of the gages; `null` where there are as many as components.
     pub parity: Option<Parity>,
-    /// Samples that took part.
-    pub samples: u64,
-}
-
-/// Health of the gages.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Parity {
-    /// χ² over its degrees of freedom: one for a sound sensor.
-    pub chi_square_per_freedom: f64,
-    /// The gage that is farthest off, counted from zero.
-    pub worst_gage: usize,
-    /// How far it is off, in standard deviations.
-    pub worst_standardised: f64,
-    /// Whether that is within five of these.
-    pub passed: bool,
+    /// Samples recorded, used, and left out by cause.
+    pub samples: SampleCounts,
 }
 
 /// The mass on the sensor.
@@ -67,73 +60,82 @@ pub struct KnownMass {
     pub mass_kg: f64,
     /// Its standard deviation, kilogram; [`MASS_ACCURACY`] of it where nobody states one.
     pub accuracy_kg: Option<f64>,
+    /// Local gravity where it hangs; `None` at the place where the sensor was calibrated.
+    pub elsewhere: Option<Gravity>,
 }
 
-/// Checks a calibration against a recording of a known mass at rest, or turned slowly. `None` where no sample is left but
-/// saturated ones, or a number is not finite.
+/// Checks a calibration against a recording of a known mass at rest, or turned slowly. `None` where no sample is a
+/// measurement, or a number is not finite.
 pub fn verify(calibration: &Calibration, recording: &Recording, mass: KnownMass) -> Option<Verification> {
-    let forces = calibration.dof.trial_rank();
-    let signals: Vec<DVector<f64>> = recording
-        .unsaturated()
-        .map(|(_, codes)| recording.counts(codes) - &calibration.bias_counts)
-        .collect();
-    let force_rows = calibration.matrix.rows(0, forces);
-    let magnitude =
-        magnitude(signals.iter().map(|signal| (force_rows * signal).norm()).collect::<Vec<_>>().into_iter())?;
-    let expected_n = mass.mass_kg * calibration.gravity;
-    let mass_deviation_n = mass.accuracy_kg.unwrap_or(MASS_ACCURACY * mass.mass_kg) * calibration.gravity;
-    let predicted_deviation_n = predicted_deviation(calibration, expected_n)
-        .hypot(mass_deviation_n)
-        .hypot(sampling_deviation(calibration, signals.len()));
-    let difference_n = magnitude.mean - expected_n;
+    let Rested { counts, samples } = rested(recording)?;
+    let signals: Vec<DVector<f64>> = counts.iter().map(|counts| counts - &calibration.bias_counts).collect();
+    let force_rows = calibration.matrix.rows(0, calibration.dof.trial_rank());
+    let lengths: Vec<f64> = signals.iter().map(|signal| (force_rows * signal).norm()).collect();
+    let mean_n = magnitude(lengths.iter().copied())?.mean;
+
+    let KnownMass { mass_kg, accuracy_kg, elsewhere } = mass;
+    let gravity = elsewhere.map_or(calibration.gravity, |gravity| gravity.magnitude);
+    let expected_n = mass_kg * gravity;
+    let mass_deviation_n = accuracy_kg.unwrap_or(MASS_ACCURACY * mass_kg) * gravity;
+    let of_gravity = elsewhere.map_or(0.0, |gravity| {
+        gravity.relative_accuracy().hypot(gravity_deviation(calibration)) * expected_n
+    });
+    let stated = stated_deviation(calibration, expected_n);
+    let calibration_deviation_n =
+        stated.unwrap_or_else(|| suggested_deviation(calibration, expected_n)).hypot(of_gravity);
+    let predicted_deviation_n =
+        calibration_deviation_n.hypot(mass_deviation_n).hypot(sampling_deviation(calibration, signals.len()));
+    let difference_n = mean_n - expected_n;
     let verification = Verification {
-        mean_n: magnitude.mean,
+        mean_n,
         expected_n,
         difference_n,
         predicted_deviation_n,
+        calibration_deviation_n,
+        calibration_states_it: stated.is_some(),
+        mass_deviation_n,
         magnitude_passed: difference_n.abs() <= LARGEST_DIFFERENCE * predicted_deviation_n,
         parity: parity(calibration, &signals),
-        samples: signals.len() as u64,
+        samples,
     };
     (difference_n.is_finite() && predicted_deviation_n.is_finite()).then_some(verification)
 }
 
-/// Standard deviation, newton, of the magnitude that the calibration measures of a force of `force_n` newton.
+/// Standard deviation, newton, of the magnitude that the calibration measures of a force of `force_n` newton, as it states
+/// itself; `None` where it states none.
+///
+/// What is stated holds at full load and has the bias in it. The bias does not fall with the load; where the trials' noise does not
+/// tell how much of it that is, all of it might be.
+fn stated_deviation(calibration: &Calibration, force_n: f64) -> Option<f64> {
+    let (relative, full_n) = (force_deviation(calibration)?, full_load_n(calibration)?);
+    Some(match bias_deviation(calibration) {
+        Some(bias_n) => (relative * force_n).hypot(bias_n),
+        None => relative * force_n.max(full_n),
+    })
+}
+
+/// The same for a calibration that states no uncertainty.
 ///
 /// From the trials' own records, each of which is known by (design § 3) √6·σ/(F√n) in its gains and √3·σ/(F√n) in its bias, and
 /// from what was stated when it was made: the masses (independent from trial to trial), the fusion residual, and what a linear
-/// model is good for. A prediction that the calibration file itself states takes this one's place here.
-pub fn predicted_deviation(calibration: &Calibration, force_n: f64) -> f64 {
+/// model is good for.
+pub fn suggested_deviation(calibration: &Calibration, force_n: f64) -> f64 {
     let trials = calibration.trials.len().max(1) as f64;
-    let noise = noise_counts(calibration).unwrap_or_default();
-    let gain = mean_sensitivity(calibration);
-    let statistical: f64 = calibration
-        .trials
-        .iter()
-        .filter_map(|trial| {
-            let samples = trial.solution.as_ref()?.samples.used.max(1) as f64;
-            let relative = noise / (gain * trial.mass_kg * calibration.gravity * samples.sqrt());
-            let bias_n = 3.0_f64.sqrt() * relative * trial.mass_kg * calibration.gravity;
-            Some((6.0_f64.sqrt() * relative * force_n).powi(2) + bias_n.powi(2))
-        })
-        .sum::<f64>()
-        / (trials * trials);
-    let stated = (MASS_ACCURACY / trials.sqrt()).hypot(shape_deviation(calibration)) * force_n;
-    statistical.sqrt().hypot(stated)
+    let bias_n = bias_deviation(calibration).unwrap_or_default();
+    let gains = full_load_n(calibration).map_or(0.0, |full_n| 2.0_f64.sqrt() * bias_n / full_n);
+    let stated = (MASS_ACCURACY / trials.sqrt()).hypot(shape_deviation(calibration));
+    (gains.hypot(stated) * force_n).hypot(bias_n)
 }
 
-/// Relative standard deviation of the shape beyond the noise of its trials: how far a linear model holds, and how well the
-/// trials agree on it.
-pub fn shape_deviation(calibration: &Calibration) -> f64 {
-    MODEL_ERROR.hypot(calibration.fusion_residual)
-}
-
-/// Noise of one channel as the trials found it, counts; `None` where none of them could tell.
-fn noise_counts(calibration: &Calibration) -> Option<f64> {
-    let told = |solution: &SolutionRecord| solution.noise_counts.map(|noise| noise * noise);
-    let squares: Vec<f64> =
-        calibration.trials.iter().filter_map(|trial| told(trial.solution.as_ref()?)).collect();
-    (!squares.is_empty()).then(|| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
+/// Standard deviation of the bias of the calibration, newton: √3·σ/√n of each trial (design § 3), in their mean. `None` where the
+/// trials' noise is not known.
+fn bias_deviation(calibration: &Calibration) -> Option<f64> {
+    let noise_n = noise_counts(calibration)? / mean_sensitivity(calibration);
+    let trials = calibration.trials.len().max(1) as f64;
+    let solutions = calibration.trials.iter().filter_map(|trial| trial.solution.as_ref());
+    let squares: f64 =
+        solutions.map(|solution| 3.0 * noise_n * noise_n / solution.samples.used.max(1) as f64).sum();
+    Some(squares.sqrt() / trials)
 }
 
 /// Counts a newton, all gages together, the mean over the directions of the force.
@@ -147,41 +149,6 @@ fn sampling_deviation(calibration: &Calibration, samples: usize) -> f64 {
     let forces = calibration.dof.trial_rank();
     let widest = calibration.matrix.rows(0, forces).row_iter().map(|row| row.norm()).fold(0.0, f64::max);
     noise_counts(calibration).unwrap_or_default() * widest / (samples.max(1) as f64).sqrt()
-}
-
-/// Parity of codes less the bias; `None` at p = m, and where no noise is known.
-fn parity(calibration: &Calibration, signals: &[DVector<f64>]) -> Option<Parity> {
-    let gages = calibration.gages();
-    let redundant = gages.checked_sub(calibration.dof.count()).filter(|&redundant| redundant > 0)?;
-    let noise = noise_counts(calibration)?;
-    let noise_variance = (noise * noise).max(QUANTISATION_VARIANCE);
-    let projector = DMatrix::identity(gages, gages) - calibration.shape.transpose() * &calibration.matrix;
-    let (mut chi_square, mut variance) = (0.0, 0.0);
-    let mut mean = DVector::zeros(gages);
-    for signal in signals {
-        let parity = &projector * signal;
-        // An error of the shape turns a share of the signal into parity, spread over all gages.
-        let from_shape = (shape_deviation(calibration) * signal.norm()).powi(2) / gages as f64;
-        chi_square += parity.norm_squared() / (noise_variance + from_shape);
-        variance += from_shape;
-        mean += parity;
-    }
-    let samples = signals.len().max(1) as f64;
-    mean /= samples;
-    // The mean of the noise falls with the samples, what the shape does not know stays.
-    let mean_variance = noise_variance / samples + variance / samples;
-    let standardised = |gage: usize| {
-        let share = projector[(gage, gage)];
-        if share > LEAST_SHARE { mean[gage].abs() / (share * mean_variance).sqrt() } else { 0.0 }
-    };
-    let worst_gage = (0..gages).max_by(|&a, &b| standardised(a).total_cmp(&standardised(b)))?;
-    let worst_standardised = standardised(worst_gage);
-    Some(Parity {
-        chi_square_per_freedom: chi_square / (samples * redundant as f64),
-        worst_gage,
-        worst_standardised,
-        passed: worst_standardised <= LARGEST_PARITY,
-    })
 }
 
 #[cfg(test)]
@@ -206,7 +173,7 @@ mod tests {
 
     fn check(sensor: &mut Sensor, calibration: &Calibration, hung_kg: f64, claimed_kg: f64) -> Verification {
         let recording = sensor.record(hung_kg, &[0.02, -0.01, 0.08], &sphere(200));
-        verify(calibration, &recording, KnownMass { mass_kg: claimed_kg, accuracy_kg: None })
+        verify(calibration, &recording, KnownMass { mass_kg: claimed_kg, accuracy_kg: None, elsewhere: None })
             .expect("samples")
     }
 
@@ -246,14 +213,71 @@ mod tests {
     }
 
     #[test]
+    fn a_gage_whose_gain_has_changed_is_named_though_the_load_turns() {
+        for seed in 0..8 {
+            let (mut sensor, calibration) = wrist(seed);
+            for gage in 0..8 {
+                let seen = 1.0 - calibration.matrix.column(gage).dot(&calibration.shape.column(gage));
+                if seen < 0.2 {
+                    continue;
+                }
+                let healthy = sensor.shape.clone();
+                sensor.shape.column_mut(gage).scale_mut(1.3);
+                let parity = check(&mut sensor, &calibration, 1.0, 1.0).parity.expect("eight gages for six");
+                sensor.shape = healthy;
+                assert!(!parity.passed, "{parity:?}");
+                assert_eq!(parity.worst_gage, gage, "{parity:?}");
+            }
+        }
+    }
+
+    #[test]
     fn as_many_gages_as_components_have_no_parity() {
         let mut sensor = Sensor::new(Dof::SpatialForce, 3, 1);
         let directions = vec![spatial(0.0, 0.0, -1.0), spatial(1.0, 0.2, 0.0), spatial(-0.1, 1.0, 0.3)];
         let trial = sensor.trial(2.0, &[], &Rests { directions, accuracy_rad: 1e-3 });
         let calibration = calibrate(sensor.dof, STANDARD_GRAVITY, &[trial]).expect("the evidence is good");
         let recording = sensor.record(1.0, &[], &sphere(100));
-        let found = verify(&calibration, &recording, KnownMass { mass_kg: 1.0, accuracy_kg: None });
+        let found =
+            verify(&calibration, &recording, KnownMass { mass_kg: 1.0, accuracy_kg: None, elsewhere: None });
         let found = found.expect("samples");
         assert!(found.magnitude_passed && found.parity.is_none(), "{found:?}");
+    }
+
+    #[test]
+    fn a_single_rest_is_enough_and_gravity_counts_only_elsewhere() {
+        let (mut sensor, mut calibration) = wrist(20);
+        let rest = sensor.record(2.0, &[0.02, -0.01, 0.08], &vec![spatial(0.3, -0.5, 0.8); 300]);
+        let here = KnownMass { mass_kg: 2.0, accuracy_kg: None, elsewhere: None };
+        let exact = verify(&calibration, &rest, here).expect("samples");
+        assert!(exact.magnitude_passed && exact.calibration_states_it, "{exact:?}");
+        assert!(exact.samples.used > 200, "{:?}", exact.samples);
+
+        // Of gravity so badly known, both C and m·g are wrong in one ratio.
+        let relative = 0.05;
+        let weight_n = 2.0 * STANDARD_GRAVITY;
+        if let Some(uncertainty) = &mut calibration.uncertainty {
+            uncertainty.gravity_accuracy = Some(relative * STANDARD_GRAVITY);
+            let of_gravity = relative * weight_n / 3.0_f64.sqrt();
+            for axis in 0..3 {
+                let own = uncertainty.per_axis_full_load[axis];
+                uncertainty.per_axis_full_load[axis] = own.hypot(of_gravity);
+            }
+        }
+        let same_place = verify(&calibration, &rest, here).expect("samples");
+        assert!((same_place.predicted_deviation_n / exact.predicted_deviation_n - 1.0).abs() < 1e-6);
+        let there = KnownMass { elsewhere: Some(STANDARD_GRAVITY.into()), ..here };
+        let elsewhere = verify(&calibration, &rest, there).expect("samples");
+        let of_gravity = elsewhere.predicted_deviation_n.powi(2) - exact.predicted_deviation_n.powi(2);
+        assert!((of_gravity.sqrt() / (relative * weight_n) - 1.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_calibration_that_states_nothing_is_judged_by_its_records() {
+        let (mut sensor, mut calibration) = wrist(21);
+        calibration.uncertainty = None;
+        let found = check(&mut sensor, &calibration, 1.0, 1.0);
+        assert!(found.magnitude_passed && !found.calibration_states_it, "{found:?}");
+        assert!(!check(&mut sensor, &calibration, 1.2, 1.0).magnitude_passed);
     }
 }

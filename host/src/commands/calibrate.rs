@@ -4,13 +4,14 @@ use std::io::{self, Write};
 use std::path::PathBuf;
 
 use clap::Args;
-use ftcal_shared::units::Dof;
+use ftcal_shared::units::{Axis, Dof};
 
 use super::output::Output;
 use super::{Failure, Streams};
+use crate::calibration::accuracy::share_of_gravity;
+use crate::calibration::drift::{Drift, Moved};
 use crate::calibration::evidence::{self, Approach, CalibrationFailure};
-use crate::calibration::linearity::Linearity;
-use crate::calibration::reference::Drift;
+use crate::calibration::linearity::{CheckRecord, CheckVerdict, Linearity};
 use crate::calibration::trial::Gating;
 use crate::calibration::{BiasOrigin, Calibration, Method};
 use crate::calibration_file;
@@ -44,13 +45,19 @@ pub struct Arguments {
     pub json: bool,
 }
 
+/// The share of the forces' variance from which on local gravity is named as its cause.
+const MOST: f64 = 0.5;
+
+/// Gravity differs from that of a stored calibration if it does by more than this, relative.
+const SAME_GRAVITY: f64 = 1e-6;
+
 /// A stored calibration and a session that are not of one sensor.
 #[derive(Debug, thiserror::Error)]
-#[error("{reference}: field `dof`: expected {expected:?} as in the session, found {found:?}")]
+#[error("{reference}: field `dof`: expected `{expected}` as in the session, found `{found}`")]
 pub struct DofDiffers {
     reference: String,
-    expected: Dof,
-    found: Dof,
+    expected: &'static str,
+    found: &'static str,
 }
 
 /// Calibrates and writes the calibration file.
@@ -64,6 +71,7 @@ pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> 
         gating: arguments.gate,
         linearity: if arguments.allow_nonlinear { Linearity::Assumed } else { Linearity::Required },
     };
+    let mut gravity_before = None;
     let outcome = match &arguments.reference {
         None => evidence::calibrate(&session, arguments.method, approach),
         Some(path) => {
@@ -71,10 +79,11 @@ pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> 
             if stored.dof != session.dof {
                 return Err(Failure::input(DofDiffers {
                     reference: shown(path),
-                    expected: session.dof,
-                    found: stored.dof,
+                    expected: dof_name(session.dof),
+                    found: dof_name(stored.dof),
                 }));
             }
+            gravity_before = Some(stored.gravity);
             evidence::recalibrate(&session, &stored, approach)
         }
     };
@@ -89,6 +98,9 @@ pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> 
         calibration_file::write(&calibration, &mut *streams.data)?;
     }
     summarise(&calibration, streams.words)?;
+    if let Some(before) = gravity_before {
+        compare_gravity(before, calibration.gravity, streams.words)?;
+    }
     writeln!(streams.words, "written to {}", shown(&arguments.output))?;
     Ok(())
 }
@@ -125,32 +137,33 @@ pub fn summarise(calibration: &Calibration, out: &mut dyn Write) -> io::Result<(
     }
     writeln!(out, "handedness proven; fusion residual {:.3} %", 100.0 * calibration.fusion_residual)?;
     if let Some(uncertainty) = &calibration.uncertainty {
-        write!(out, "uncertainty at full load (one standard deviation):")?;
-        for (axis, deviation) in calibration.dof.axes().iter().zip(&uncertainty.per_axis_full_load) {
-            write!(out, " {} {deviation:.2e}", super::apply::column_name(*axis))?;
+        let axes = calibration.dof.axes().iter().zip(&uncertainty.per_axis_full_load);
+        let each = axes.map(|(axis, deviation)| format!("{} {deviation:.2e} {}", name(*axis), unit(*axis)));
+        let each = each.collect::<Vec<_>>().join(", ");
+        writeln!(out, "uncertainty at full load (one standard deviation): {each}")?;
+        if let Some(accuracy) = uncertainty.gravity_accuracy.filter(|_| share_of_gravity(calibration) > MOST)
+        {
+            writeln!(
+                out,
+                "most of that is local gravity, taken as {} ± {accuracy} m/s²: state `gravity` in the session, and \
+                 `gravity_accuracy` if you know it",
+                calibration.gravity
+            )?;
         }
-        writeln!(out)?;
     }
     for trial in &calibration.trials {
-        write!(out, "{}: {} kg, {} known loads", trial.recording, trial.mass_kg, trial.known_loads)?;
+        let plural = if trial.known_loads == 1 { "" } else { "s" };
+        write!(out, "{}: {} kg, {} known load{plural}", trial.recording, trial.mass_kg, trial.known_loads)?;
         if let Some(solution) = &trial.solution {
-            write!(
-                out,
-                ", {} of {} samples used, directions off by {:.3}°",
-                solution.samples.used, solution.samples.total, solution.alignment_residual_deg
-            )?;
+            write!(out, ", {} of {} samples used", solution.samples.used, solution.samples.total)?;
+            if trial.known_loads > 0 {
+                write!(out, ", directions off by {:.3}°", solution.alignment_residual_deg)?;
+            }
         }
         writeln!(out)?;
     }
     for check in &calibration.checks {
-        writeln!(
-            out,
-            "check {}: {} kg, response off by {:+.3} %, shape off by {:.3} %",
-            check.recording,
-            check.mass_kg,
-            100.0 * (check.scale - 1.0),
-            100.0 * check.residual
-        )?;
+        summarise_check(check, out)?;
     }
     if let Some(drift) = &calibration.drift {
         summarise_drift(calibration, drift, out)?;
@@ -158,18 +171,101 @@ pub fn summarise(calibration: &Calibration, out: &mut dyn Write) -> io::Result<(
     Ok(())
 }
 
-fn summarise_drift(calibration: &Calibration, drift: &Drift, out: &mut dyn Write) -> io::Result<()> {
+/// How a trial fits that is compared and not fitted: how far the sensor is from linear between its load and the others.
+fn summarise_check(check: &CheckRecord, out: &mut dyn Write) -> io::Result<()> {
+    let explained = |uncertainty: Option<f64>| match uncertainty {
+        Some(uncertainty) => format!(" (± {:.3} %)", 100.0 * uncertainty),
+        None => String::new(),
+    };
+    let verdict = match check.verdict {
+        Some(CheckVerdict::WithinUncertainty) => ": within what the uncertainty explains",
+        Some(CheckVerdict::BeyondUncertainty) => {
+            ": beyond what the uncertainty explains; the sensor is not linear from the other loads to this one, or mass or \
+             arm are not what the session says"
+        }
+        None => "",
+    };
     writeln!(
         out,
-        "moved since the stored calibration ({} of {} components seen):",
+        "check {}: {} kg, response off by {:+.3} %{}, its shape by {:.3} %{}{verdict}",
+        check.recording,
+        check.mass_kg,
+        100.0 * (check.scale - 1.0),
+        explained(check.scale_uncertainty),
+        100.0 * check.residual,
+        explained(check.residual_uncertainty),
+    )
+}
+
+fn summarise_drift(calibration: &Calibration, drift: &Drift, out: &mut dyn Write) -> io::Result<()> {
+    if calibration.trials.iter().any(|trial| trial.known_loads > 0) {
+        writeln!(
+            out,
+            "the stored calibration orients the trials: their known loads are compared with it, not used"
+        )?;
+    }
+    writeln!(
+        out,
+        "moved since the stored calibration ({} of {} components seen; behind ± what noise, masses and arms would show of an unmoved one):",
         drift.components_seen,
         calibration.dof.count()
     )?;
-    for (gage, percent) in drift.gage_percent.iter().enumerate() {
-        writeln!(out, "ch{gage:<6} {percent:8.3} %")?;
+    let line = |out: &mut dyn Write, name: &str, moved: Moved| {
+        let Moved { percent, uncertainty_percent } = moved;
+        let verdict = if moved.is_real() { "  moved" } else { "" };
+        writeln!(out, "{name:<8} {percent:8.3} % ± {uncertainty_percent:.3} %{verdict}")
+    };
+    for (gage, moved) in drift.gages().enumerate() {
+        line(out, &format!("ch{gage}"), moved)?;
     }
-    for (axis, percent) in calibration.dof.axes().iter().zip(&drift.axis_percent) {
-        writeln!(out, "{:<8} {percent:8.3} %", super::apply::column_name(*axis))?;
+    for (axis, moved) in calibration.dof.axes().iter().zip(drift.axes()) {
+        line(out, name(*axis), moved)?;
+    }
+    if !drift.gages().chain(drift.axes()).any(Moved::is_real) {
+        writeln!(out, "nothing that the arms see has moved by more than three times its uncertainty")?;
     }
     Ok(())
+}
+
+/// Says what another gravity than that of the stored calibration does to the drift.
+fn compare_gravity(before: f64, now: f64, out: &mut dyn Write) -> io::Result<()> {
+    let change = now / before - 1.0;
+    if change.abs() <= SAME_GRAVITY {
+        return Ok(());
+    }
+    writeln!(
+        out,
+        "gravity is {now} m/s² in the session and {before} m/s² in the stored calibration: if both are of one place, \
+         {:.3} % of every change is that",
+        100.0 * change.abs()
+    )
+}
+
+/// The name of a sensor as a session spells it.
+const fn dof_name(dof: Dof) -> &'static str {
+    match dof {
+        Dof::PlanarForce => "planar-force",
+        Dof::SpatialForce => "spatial-force",
+        Dof::PlanarForceTorque => "planar-force-torque",
+        Dof::SpatialForceTorque => "spatial-force-torque",
+    }
+}
+
+/// The name of a component in words.
+const fn name(axis: Axis) -> &'static str {
+    match axis {
+        Axis::ForceX => "fx",
+        Axis::ForceY => "fy",
+        Axis::ForceZ => "fz",
+        Axis::TorqueX => "tx",
+        Axis::TorqueY => "ty",
+        Axis::TorqueZ => "tz",
+    }
+}
+
+const fn unit(axis: Axis) -> &'static str {
+    match axis {
+        Axis::ForceX | Axis::ForceY | Axis::ForceZ => "N",
+        Axis::TorqueX | Axis::TorqueY | Axis::TorqueZ => "N m",
+    }
 }

@@ -7,7 +7,9 @@ use clap::Args;
 use ftcal_shared::refusal::Refusal;
 
 use super::{Failure, Streams, apply, print_json};
-use crate::calibration::verification::{KnownMass, Verification, verify};
+use crate::calibration::trial::Rejection;
+use crate::calibration::verification::{KnownMass, LARGEST_DIFFERENCE, Verification, verify};
+use crate::gravity::{Gravity, POSSIBLE};
 use crate::remedy::{self, Explained};
 
 /// Check a calibration in the field with any known mass: passes, or fails with exit code 3
@@ -23,6 +25,9 @@ pub struct Arguments {
     /// Standard deviation of that mass, kilogram; 0.1 % of it if absent
     #[arg(long, value_name = "M", value_parser = super::eval::positive)]
     pub mass_accuracy_kg: Option<f64>,
+    /// Local gravity here, m/s², if the sensor was calibrated elsewhere; that of the calibration if absent
+    #[arg(long, value_name = "G", value_parser = gravity)]
+    pub gravity: Option<f64>,
     /// Print JSON
     #[arg(long)]
     pub json: bool,
@@ -35,22 +40,24 @@ pub struct Arguments {
 /// [`Failure`]; [`Failure::Refused`] where the check fails.
 pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> {
     let (calibration, recording) = apply::read(&arguments.calibration, &arguments.recording)?;
-    let mass = KnownMass { mass_kg: arguments.mass_kg, accuracy_kg: arguments.mass_accuracy_kg };
+    let mass = KnownMass {
+        mass_kg: arguments.mass_kg,
+        accuracy_kg: arguments.mass_accuracy_kg,
+        elsewhere: arguments.gravity.map(|gravity| Gravity::stated(gravity, None)),
+    };
     let found = verify(&calibration, &recording, mass).ok_or_else(|| {
         let refusal = Refusal::Saturated { samples: recording.len() as u64 };
         Failure::Refused(remedy::estimation(&refusal))
     })?;
-    if let Some(failed) = failure(&found) {
-        summarise(&found, streams.words)?;
-        return Err(Failure::Refused(failed));
+    let failed = failure(&found);
+    // What was found is told either way; as JSON, a refusal is all that a failure prints.
+    match &failed {
+        None if arguments.json => print_json(&found, streams.data)?,
+        None => summarise(&found, streams.data)?,
+        Some(_) if arguments.json => {}
+        Some(_) => summarise(&found, streams.words)?,
     }
-    if arguments.json {
-        print_json(&found, streams.data)?;
-    } else {
-        summarise(&found, streams.data)?;
-        writeln!(streams.data, "passed")?;
-    }
-    Ok(())
+    failed.map_or(Ok(()), |failed| Err(Failure::Refused(failed)))
 }
 
 /// Why the check fails; `None` where it passes.
@@ -64,17 +71,42 @@ fn failure(found: &Verification) -> Option<Explained> {
 }
 
 fn summarise(found: &Verification, out: &mut dyn Write) -> io::Result<()> {
+    let Verification { mean_n, expected_n, difference_n, predicted_deviation_n, samples, .. } = found;
+    let percent = |newton: f64| 100.0 * newton / expected_n;
     writeln!(
         out,
-        "force {:.4} N, expected {:.4} N, difference {:+.4} N with a predicted standard deviation of {:.4} N",
-        found.mean_n, found.expected_n, found.difference_n, found.predicted_deviation_n
+        "measured   {mean_n:.4} N where {expected_n:.4} N hang: {difference_n:+.4} N ({:+.3} %)",
+        percent(*difference_n)
+    )?;
+    writeln!(
+        out,
+        "expected   within {:.4} N ({:.3} %), {LARGEST_DIFFERENCE:.0} standard deviations: one is {:.4} N of the \
+         calibration{} and {:.4} N of the mass",
+        LARGEST_DIFFERENCE * predicted_deviation_n,
+        percent(LARGEST_DIFFERENCE * predicted_deviation_n),
+        found.calibration_deviation_n,
+        if found.calibration_states_it { "" } else { " (which states none: by its records)" },
+        found.mass_deviation_n
     )?;
     match &found.parity {
         Some(parity) => writeln!(
             out,
-            "gages: chi-square {:.2} per degree of freedom; ch{} is farthest off, by {:.1} standard deviations",
-            parity.chi_square_per_freedom, parity.worst_gage, parity.worst_standardised
-        ),
-        None => writeln!(out, "gages: no more than components, so that nothing tells whether one is off"),
+            "gages      {}: ch{} is farthest off, by {:.1} standard deviations (chi-square {:.2} per degree of freedom)",
+            if parity.passed { "agree" } else { "contradict each other" },
+            parity.worst_gage,
+            parity.worst_standardised,
+            parity.chi_square_per_freedom
+        )?,
+        None => writeln!(out, "gages      cannot be judged: there are no more of them than components")?,
     }
+    let at_rest = if samples.rejected.contains_key(&Rejection::Moving) { ", those at rest" } else { "" };
+    writeln!(out, "samples    {} of {} used{at_rest}", samples.used, samples.total)?;
+    let verdict = if failure(found).is_none() { "passed" } else { "failed" };
+    writeln!(out, "{verdict}")
+}
+
+/// Reads a gravity that there is.
+fn gravity(text: &str) -> Result<f64, String> {
+    let expected = || format!("expected gravity from {} to {} m/s²", POSSIBLE.start(), POSSIBLE.end());
+    text.parse::<f64>().ok().filter(|gravity| POSSIBLE.contains(gravity)).ok_or_else(expected)
 }

@@ -18,6 +18,7 @@ pub const SESSION: &str = "session.toml";
 struct Session {
     dof: Dof,
     gravity: f64,
+    gravity_accuracy: f64,
     trial: Vec<Trial>,
 }
 
@@ -48,7 +49,7 @@ struct KnownLoad {
 ///
 /// [`DemoError::File`].
 pub fn keep(acquired: &[AcquiredTrial], dof: Dof, folder: &Path) -> Result<(), DemoError> {
-    let mut session = Session { dof, gravity: GRAVITY, trial: Vec::new() };
+    let mut session = Session { dof, gravity: GRAVITY, gravity_accuracy: 0.0, trial: Vec::new() };
     for (index, trial) in acquired.iter().enumerate() {
         let case = &trial.solved.case;
         save(&trial.recording, &folder.join(&case.name))?;

@@ -10,13 +10,16 @@ use serde::Deserialize;
 use toml::Spanned;
 
 use crate::calibration::consistency::{ARM_ACCURACY_M, MASS_ACCURACY};
+use crate::gravity::{Gravity, POSSIBLE};
 
-use super::{Rest, Role, STANDARD_GRAVITY, SessionKnownLoad, SessionTrial, Turning, place};
+use super::{Rest, Role, SessionKnownLoad, SessionTrial, Turning, place};
 
-/// Gravity, mass and arm outside these are slips of the unit, not sensors; m/s², kg and m.
-const GRAVITY: std::ops::RangeInclusive<f64> = 1.0..=30.0;
+/// Mass and arm outside these are slips of the unit, not sensors; kg and m.
 const MASS_KG: std::ops::RangeInclusive<f64> = 1e-6..=1e5;
 const LONGEST_ARM_M: f64 = 5.0;
+
+/// The sensors that there are.
+const SENSORS: &str = "`planar-force`, `spatial-force`, `planar-force-torque` or `spatial-force-torque`";
 
 /// Of a direction whose accuracy nobody states: set up by eye.
 const ASSUMED_ACCURACY_DEG: f64 = 1.0;
@@ -24,8 +27,9 @@ const ASSUMED_ACCURACY_DEG: f64 = 1.0;
 /// No direction is believed to be better than this, whatever is stated: 0.2 mrad.
 const BEST_ACCURACY_DEG: f64 = 0.01;
 
-/// Accuracies beyond these are none, and none is believed to be better than these: a micrometre, a millionth.
+/// Accuracies beyond these are none, m and m/s², and none is believed to be better than these: a micrometre, a millionth.
 const ROUGHEST_ARM_M: f64 = 0.1;
+const ROUGHEST_GRAVITY: f64 = 1.0;
 const BEST_ARM_ACCURACY_M: f64 = 1e-6;
 const ROUGHEST_MASS: f64 = 0.5;
 const BEST_MASS_ACCURACY: f64 = 1e-6;
@@ -33,8 +37,9 @@ const BEST_MASS_ACCURACY: f64 = 1e-6;
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Session {
-    dof: Dof,
+    dof: Spanned<toml::Value>,
     gravity: Option<Spanned<f64>>,
+    gravity_accuracy: Option<Spanned<f64>>,
     #[serde(default)]
     trial: Vec<Trial>,
 }
@@ -77,14 +82,7 @@ impl Unexpected {
 
 impl Session {
     pub(super) fn checked(self, path: &Path, text: &str) -> Result<super::Session, Unexpected> {
-        let gravity = match &self.gravity {
-            None => STANDARD_GRAVITY,
-            Some(gravity) if GRAVITY.contains(gravity.as_ref()) => *gravity.as_ref(),
-            Some(gravity) => {
-                let expected = format!("gravity from {} to {} m/s²", GRAVITY.start(), GRAVITY.end());
-                return Err(Unexpected::at(gravity, expected, gravity.as_ref().to_string()));
-            }
-        };
+        let (dof, gravity) = (self.dof()?, self.gravity()?);
         if self.trial.is_empty() {
             return Err(Unexpected {
                 offset: text.len(),
@@ -99,9 +97,35 @@ impl Session {
                 found: "checks alone".to_owned(),
             });
         }
-        let context = Context { dof: self.dof, folder: path.parent().unwrap_or(Path::new("")), text };
+        let context = Context { dof, folder: path.parent().unwrap_or(Path::new("")), text };
         let trials = self.trial.iter().map(|trial| trial.checked(&context)).collect::<Result<_, _>>()?;
-        Ok(super::Session { file: path.to_owned(), dof: self.dof, gravity, trials })
+        Ok(super::Session { file: path.to_owned(), dof, gravity, trials })
+    }
+
+    fn dof(&self) -> Result<Dof, Unexpected> {
+        let value = self.dof.as_ref();
+        Dof::deserialize(value.clone()).map_err(|_| Unexpected::at(&self.dof, SENSORS, value.to_string()))
+    }
+
+    /// Local gravity; `None` where the session says nothing of it.
+    fn gravity(&self) -> Result<Option<Gravity>, Unexpected> {
+        if let Some(gravity) = self.gravity.as_ref().filter(|gravity| !POSSIBLE.contains(gravity.as_ref())) {
+            let expected = format!("gravity from {} to {} m/s²", POSSIBLE.start(), POSSIBLE.end());
+            return Err(Unexpected::at(gravity, expected, gravity.as_ref().to_string()));
+        }
+        let possible = 0.0..=ROUGHEST_GRAVITY;
+        if let Some(accuracy) =
+            self.gravity_accuracy.as_ref().filter(|accuracy| !possible.contains(accuracy.as_ref()))
+        {
+            let expected = format!("an accuracy from 0 to {ROUGHEST_GRAVITY} m/s²");
+            return Err(Unexpected::at(accuracy, expected, accuracy.as_ref().to_string()));
+        }
+        let accuracy = self.gravity_accuracy.as_ref().map(|accuracy| *accuracy.as_ref());
+        Ok(match (&self.gravity, accuracy) {
+            (None, None) => None,
+            (Some(gravity), accuracy) => Some(Gravity::stated(*gravity.as_ref(), accuracy)),
+            (None, accuracy) => Some(Gravity::stated(Gravity::ASSUMED.magnitude, accuracy)),
+        })
     }
 }
 

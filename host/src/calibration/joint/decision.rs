@@ -91,14 +91,21 @@ impl Candidate {
             .map(|(trial, _)| trial)
     }
 
-    /// Trials that another answer orients otherwise.
+    /// Trials that another answer takes for mirror images of these; if it mirrors none, those that it turns otherwise.
     fn differing(&self, other: &State) -> Vec<usize> {
-        let both = self.fit.state.orientations.iter().zip(&other.orientations);
+        let mirrored: Vec<usize> =
+            self.apart(other, |one, other| one.determinant() * other.determinant() < 0.0);
+        if mirrored.is_empty() { self.turned_otherwise(other) } else { mirrored }
+    }
+
+    fn turned_otherwise(&self, other: &State) -> Vec<usize> {
         // ‖R − Q‖ is √2 times twice the sine of half the angle between two rotations.
-        let apart = |(one, other): (&DMatrix<f64>, &DMatrix<f64>)| {
-            (one - other).norm() > std::f64::consts::SQRT_2 * SAME_ORIENTATION
-        };
-        both.enumerate().filter(|&(_, pair)| apart(pair)).map(|(trial, _)| trial).collect()
+        self.apart(other, |one, other| (one - other).norm() > std::f64::consts::SQRT_2 * SAME_ORIENTATION)
+    }
+
+    fn apart(&self, other: &State, differ: impl Fn(&DMatrix<f64>, &DMatrix<f64>) -> bool) -> Vec<usize> {
+        let both = self.fit.state.orientations.iter().zip(&other.orientations).enumerate();
+        both.filter(|&(_, (one, other))| differ(one, other)).map(|(trial, _)| trial).collect()
     }
 }
 

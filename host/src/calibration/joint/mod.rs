@@ -38,7 +38,7 @@ use super::handedness::{self, MARGIN, MOST_UNDECIDED, PossibleHands, possible_ha
 use super::{CalibrationRefusal, HandednessEvidence, SolvedTrial};
 
 /// The misfit over its degrees of freedom beyond which trials are no longer taken at their word.
-const LARGEST_STRAIN: f64 = 2.0;
+pub const LARGEST_STRAIN: f64 = 2.0;
 
 /// What the joint solution finds.
 #[derive(Clone, Debug)]

@@ -279,3 +279,38 @@ fn the_predicted_uncertainty_covers_the_error() {
     let ratio = (squares / elements).sqrt();
     assert!((0.85..1.15).contains(&ratio), "{ratio}");
 }
+
+#[test]
+fn an_unsettled_hand_is_that_of_the_trials_that_may_be_mirrored() {
+    for seed in 0..5 {
+        let mut sensor = Sensor::new(Dof::SpatialForceTorque, 8, seed);
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let (arms, normal) = triangle(0.1, &mut random);
+        let all_round = Rests {
+            directions: vec![spatial(0.0, 0.0, -1.0), spatial(1.0, 0.2, 0.0), spatial(-0.1, 1.0, 0.3)],
+            accuracy_rad: 1e-3,
+        };
+        // A load in the plane of the arms looks the same in the mirror.
+        let inside = normal.cross(&unit(&mut random));
+        let flat = spatial(inside.x, inside.y, inside.z);
+        let trials = [
+            sensor.trial(2.0, arms[0].as_slice(), &all_round),
+            rough_trial_at(&mut sensor, arms[1].as_slice(), &flat),
+            sensor.trial(2.0, arms[2].as_slice(), &all_round),
+        ];
+        let refused = solve(&sensor, &trials).map_err(|refusal| match refusal {
+            CalibrationRefusal::LoadsInPlaneOfArms { trials } => trials,
+            other => panic!("{other:?}"),
+        });
+        assert_eq!(refused.err(), Some(vec![1]));
+    }
+}
+
+/// A trial with one known load in this direction, of which it is said that it may be 30° off.
+fn rough_trial_at(sensor: &mut Sensor, arm: &[f64], direction: &DVector<f64>) -> SolvedTrial {
+    let mut trial = sensor.trial(2.0, arm, &Rests { directions: vec![direction.clone()], accuracy_rad: 0.0 });
+    for load in &mut trial.case.known_loads {
+        load.accuracy_rad = ROUGH;
+    }
+    trial
+}

@@ -7,13 +7,17 @@
 //! δC = −C δA C + (AᵀA)⁻¹ δAᵀ (I − A C)
 //! ```
 //!
-//! and the wrench of a load w is wrong by −C δA w + C δb. Masses are weighed on one scale: what they have in common does
-//! not average out over the trials, so that share of their variance is added again.
+//! and the wrench of a load w is wrong by −C δA w + C δb.
+//!
+//! What all trials have in common does not average out over them, and makes all of C too large or too small in one ratio: the
+//! masses, which are weighed on one scale, so that their common share of the variance is added again; and local gravity.
 
 use nalgebra::{DMatrix, DVector};
 
+use super::super::drift::ShapeDeviation;
 use super::super::matrix::matrix_of_shape;
 use super::refinement::{Fit, Problem};
+use crate::gravity::Gravity;
 
 /// Standard deviations of a calibration.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,6 +27,21 @@ pub struct Uncertainty {
     /// Of each component of a wrench (m), newton and newton metre: the root mean square over the loads of the trials in
     /// all directions.
     pub per_axis_full_load: DVector<f64>,
+    /// Of the local gravity that is in both, m/s²; `None` where it is in neither.
+    pub gravity_accuracy: Option<f64>,
+}
+
+/// What a covariance is carried on with.
+#[derive(Clone, Copy, Debug)]
+pub struct Premises<'a> {
+    /// Local gravity.
+    pub gravity: Gravity,
+    /// The loads of the trials, newton.
+    pub newtons: &'a [f64],
+    /// Covariance of the bias (p × p), counts².
+    pub bias: &'a DMatrix<f64>,
+    /// How many times larger than expected the misfit is.
+    pub strain: f64,
 }
 
 /// What the covariance of the joint solution tells.
@@ -32,24 +51,19 @@ pub struct Propagated {
     pub uncertainty: Uncertainty,
     /// The predicted error of a wrench, relative, torques divided by the characteristic arm length.
     pub wrench_error: f64,
+    /// How certain the shape is; without gravity.
+    pub shape: ShapeDeviation,
 }
 
 /// Carries the covariance of a solution over to its calibration, or `None` where the observations leave it open.
-///
-/// `newtons` are the loads of the trials, `bias` the covariance of the bias (p × p), counts², and `strain` how many times
-/// larger than expected the misfit is.
-pub fn propagate(
-    problem: &Problem,
-    fit: &Fit,
-    newtons: &[f64],
-    bias: &DMatrix<f64>,
-    strain: f64,
-) -> Option<Propagated> {
+pub fn propagate(problem: &Problem, fit: &Fit, premises: &Premises) -> Option<Propagated> {
+    let &Premises { gravity, newtons, bias, strain } = premises;
     let (components, gages) = (problem.components(), problem.gages());
     let shape = &fit.state.shape;
     let matrix = matrix_of_shape(shape).ok()?;
     let covariance = shape_covariance(problem, fit)? * strain;
     let common_mass = common_mass_variance(problem);
+    let common = common_mass + gravity.relative_accuracy().powi(2);
 
     let across = DMatrix::identity(gages, gages) - shape.transpose() * &matrix;
     let gram_inverse = &matrix * matrix.transpose();
@@ -59,12 +73,12 @@ pub fn propagate(
             gram_inverse[(row, c)] * across[(k, column)] - matrix[(row, k)] * matrix[(c, column)]
         });
         let variance = quadratic_form(&covariance, gradient.as_slice());
-        (variance + common_mass * matrix[(row, column)].powi(2)).max(0.0).sqrt() * problem.lengths[row]
+        (variance + common * matrix[(row, column)].powi(2)).max(0.0).sqrt() * problem.lengths[row]
     });
 
     let loads = mean_square_load(problem, fit, newtons);
     let of_bias = &matrix * bias * matrix.transpose();
-    let mut wrench_variance = 0.0;
+    let mut of_components = DVector::zeros(components);
     let per_axis = DVector::from_fn(components, |row, _| {
         // Component c of −C δA is −Σₖ C[row, k] δS̃[c, k]: its covariance over pairs of components.
         let errors = DMatrix::from_fn(components, components, |c, d| {
@@ -77,14 +91,29 @@ pub fn propagate(
             }
             sum
         });
-        wrench_variance += errors.trace();
-        let scale = errors.component_mul(&loads).sum() + common_mass * loads[(row, row)];
+        of_components += errors.diagonal();
+        let scale = errors.component_mul(&loads).sum() + common * loads[(row, row)];
         (scale + of_bias[(row, row)]).max(0.0).sqrt() * problem.lengths[row]
     });
-    let wrench_error = (wrench_variance / components as f64).sqrt();
-    let uncertainty = Uncertainty { matrix: elements, per_axis_full_load: per_axis };
+    let wrench_error = (of_components.sum() / components as f64).sqrt();
+    let of_gages = DVector::from_fn(gages, |gage, _| {
+        let block = covariance.view((gage * components, gage * components), (components, components));
+        (block.trace() / shape.column(gage).norm_squared() + common_mass).sqrt()
+    });
+    let uncertainty = Uncertainty {
+        matrix: elements,
+        per_axis_full_load: per_axis,
+        gravity_accuracy: Some(gravity.accuracy),
+    };
     let finite = uncertainty.matrix.iter().chain(&uncertainty.per_axis_full_load).all(|x| x.is_finite());
-    (finite && wrench_error.is_finite()).then_some(Propagated { uncertainty, wrench_error })
+    (finite && wrench_error.is_finite()).then(|| Propagated {
+        uncertainty,
+        wrench_error,
+        shape: ShapeDeviation {
+            gages: of_gages,
+            components: of_components.map(|variance| (variance + common_mass).sqrt()),
+        },
+    })
 }
 
 /// The covariance of S̃, column by column, from the normal matrix.
