@@ -8,6 +8,9 @@
 use ftcal_shared::estimation::uncertainty::TrialUncertainty;
 use nalgebra::{DMatrix, DVector, SMatrix};
 
+/// A projection is its own square, but for rounding.
+const SAME: f64 = 1e-9;
+
 /// Covariances of one trial's shape and bias.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrialCovariance {
@@ -40,8 +43,14 @@ impl TrialCovariance {
     }
 
     /// Of covariances along and across the shape, as the fields say.
-    pub(super) const fn of(along: DMatrix<f64>, across: DMatrix<f64>) -> Self {
-        Self { along, across }
+    pub(super) fn with(&self, along: DMatrix<f64>, across: DMatrix<f64>) -> Self {
+        Self { along, across, redundant_noise: self.redundant_noise.clone() }
+    }
+
+    /// Whether the trial took all channels for equally noisy: what is left of the noise is then a projection.
+    pub fn channels_are_equal(&self) -> bool {
+        let noise = &self.redundant_noise;
+        (noise * noise - noise).amax() < SAME
     }
 
     /// Of the regression on m (r) and on 1, counts², in each direction of the codes across the shape.

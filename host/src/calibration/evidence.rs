@@ -7,6 +7,7 @@ use nalgebra::DVector;
 use super::known_load::{KnownLoad, LoadCase, average};
 use super::linearity::{self, Linearity};
 use super::motion;
+use super::refinement::Refining;
 use super::trial::Gating;
 use super::turning::{Turned, swept};
 use super::{Calibration, CalibrationRefusal, Method, SolvedTrial, least_squares, reference, staged, trial};
@@ -142,6 +143,8 @@ pub struct Approach {
     pub gating: Gating,
     /// Whether a sensor that is not linear is refused.
     pub linearity: Linearity,
+    /// Whether each trial is refined.
+    pub refining: Refining,
 }
 
 /// Opens recordings and sees to it that all have the same number of gages.
@@ -207,8 +210,9 @@ impl Reader<'_> {
         let mut opened = None;
         let recording = opened.insert(self.open(&trial.recording, trial.place)?);
         let refused = |refusal| CalibrationRefusal::Trial { trial: index, refusal };
-        let shape =
+        let start =
             trial::solve(recording, self.session.dof.trial_rank(), self.approach.gating).map_err(refused)?;
+        let shape = self.approach.refining.of(recording, start);
         let turned = match trial.turning {
             Some(claimed) => {
                 let motion = motion::recover(recording, &shape).map_err(refused)?;

@@ -58,6 +58,21 @@ pub enum Rejection {
     Outlier,
 }
 
+impl Rejection {
+    /// What was wrong with the samples.
+    pub const fn in_words(self) -> &'static str {
+        match self {
+            Self::Saturated => "saturated",
+            Self::Moving => "moving too much",
+            Self::Repeated => "repeated by the converter",
+            Self::Parity => "with gages that contradict each other",
+            Self::Magnitude => "with a load of another magnitude",
+            Self::Unattended => "missed while the sensor worked on its sums",
+            Self::Outlier => "that neither noise nor the load explains",
+        }
+    }
+}
+
 /// How many samples took part.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

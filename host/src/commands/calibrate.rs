@@ -12,6 +12,7 @@ use crate::calibration::accuracy::share_of_gravity;
 use crate::calibration::drift::{Drift, Moved};
 use crate::calibration::evidence::{self, Approach, CalibrationFailure};
 use crate::calibration::linearity::{CheckRecord, CheckVerdict, Linearity};
+use crate::calibration::refinement::Refining;
 use crate::calibration::trial::Gating;
 use crate::calibration::{BiasOrigin, Calibration, Method};
 use crate::calibration_file;
@@ -40,6 +41,9 @@ pub struct Arguments {
     /// Calibrate a sensor that is not linear as if it were
     #[arg(long)]
     pub allow_nonlinear: bool,
+    /// Take each trial as the sensor itself would solve it
+    #[arg(long)]
+    pub no_refine: bool,
     /// Print the calibration, or the refusal, as JSON
     #[arg(long)]
     pub json: bool,
@@ -70,6 +74,7 @@ pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> 
     let approach = Approach {
         gating: arguments.gate,
         linearity: if arguments.allow_nonlinear { Linearity::Assumed } else { Linearity::Required },
+        refining: if arguments.no_refine { Refining::Off } else { Refining::On },
     };
     let mut gravity_before = None;
     let outcome = match &arguments.reference {

@@ -10,6 +10,7 @@ use serde::Serialize;
 use super::{Failure, Streams, print_json};
 use crate::calibration::coverage::TrialCoverage;
 use crate::calibration::motion::{Magnitude, recover};
+use crate::calibration::refinement::Refining;
 use crate::calibration::trial::{Gating, SampleCounts, TrialShape, solve};
 use crate::calibration_file::rows;
 use crate::recording::Recording;
@@ -27,6 +28,9 @@ pub struct Arguments {
     /// repeats itself
     #[arg(long, value_enum, default_value = "on")]
     pub gate: Gating,
+    /// Take the trial as the sensor itself would solve it
+    #[arg(long)]
+    pub no_refine: bool,
     /// Print refusals as JSON, too, and no summary
     #[arg(long)]
     pub json: bool,
@@ -88,8 +92,8 @@ impl From<&TrialCoverage> for Coverage {
 }
 
 impl Report {
-    fn new(recording: &Recording, rank: usize, gate: Gating) -> Result<Self, Refusal> {
-        let trial = solve(recording, rank, gate)?;
+    fn new(recording: &Recording, rank: usize, gate: Gating, refining: Refining) -> Result<Self, Refusal> {
+        let trial = refining.of(recording, solve(recording, rank, gate)?);
         let magnitude = recover(recording, &trial)?.magnitude().ok_or(Refusal::NonFinite)?;
         let (rank, gages) = (trial.rank(), trial.gages());
         let uncertainty = Uncertainty {
@@ -118,7 +122,11 @@ impl Report {
     ///
     /// Those of the destination.
     pub fn summarise(&self, out: &mut dyn Write) -> io::Result<()> {
-        writeln!(out, "{} of {} samples used", self.samples.used, self.samples.total)?;
+        write!(out, "{} of {} samples used", self.samples.used, self.samples.total)?;
+        for (cause, count) in &self.samples.rejected {
+            write!(out, ", {count} {}", cause.in_words())?;
+        }
+        writeln!(out)?;
         match self.noise_counts {
             Some(noise) => writeln!(out, "noise        {noise:.2} counts a channel")?,
             None => writeln!(out, "noise        unknown: as many gages as directions")?,
@@ -163,7 +171,8 @@ impl Report {
 /// [`Failure`].
 pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> {
     let recording = Recording::read(&arguments.recording).map_err(Failure::input)?;
-    let report = Report::new(&recording, usize::from(arguments.rank), arguments.gate)
+    let refining = if arguments.no_refine { Refining::Off } else { Refining::On };
+    let report = Report::new(&recording, usize::from(arguments.rank), arguments.gate, refining)
         .map_err(|refusal| Failure::Refused(remedy::estimation(&refusal)))?;
     if !arguments.json {
         report.summarise(streams.words)?;

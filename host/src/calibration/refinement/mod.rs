@@ -41,7 +41,8 @@
 //! lessens both the weights' spread and what they promise.
 //!
 //! At p = r nothing tells the noise from disturbances of the load, nor one direction's noise from another's, and so neither
-//! weights nor outliers: the start stays.
+//! weights nor outliers: the start stays. It stays where the rests have shown that the channels are not equally noisy, too, since
+//! it takes that into account and the refinement does not.
 
 mod adjusted;
 mod constraint;
@@ -58,7 +59,7 @@ use self::constraint::Answer;
 use self::fit::{Fit, Samples, constraint_noise, unit};
 use self::outliers::{Screened, screen};
 use self::weight::Weight;
-use super::covariance::TrialCovariance;
+use super::coverage::TrialCoverage;
 use super::matrix::matrix_of_shape;
 use super::trial::{Rejection, SampleCounts, TrialShape};
 use crate::recording::Recording;
@@ -111,6 +112,8 @@ pub enum Kept {
     OtherRecording,
     /// p = r, or no noise: nothing tells weights and outliers.
     NoiseUnknown,
+    /// The channels are not equally noisy: the start weighs them, the refinement would not.
+    ChannelsDiffer,
     /// No other weights promise anything.
     NothingToGain,
     /// So many samples contradict the trial that they are no outliers.
@@ -121,6 +124,25 @@ pub enum Kept {
     NotConverged,
     /// The refined answer is farther off than the uncertainty of the start allows.
     Contradiction,
+}
+
+/// Whether trials are refined.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Refining {
+    /// Where that is better.
+    On,
+    /// The answer is the sensor's own.
+    Off,
+}
+
+impl Refining {
+    /// The trial of this recording as it is to be used.
+    pub fn of(self, recording: &Recording, start: TrialShape) -> TrialShape {
+        match self {
+            Self::On => refine(recording, &start).trial,
+            Self::Off => start,
+        }
+    }
 }
 
 /// Refines a trial of this recording.
@@ -136,6 +158,12 @@ fn refined(recording: &Recording, start: &TrialShape) -> Result<Refinement, Kept
         return Err(Kept::OtherRecording);
     }
     let noise = start.noise_counts.filter(|&noise| noise > 0.0).ok_or(Kept::NoiseUnknown)?;
+    if start.gages() == start.rank() {
+        return Err(Kept::NoiseUnknown);
+    }
+    if !start.covariance.channels_are_equal() {
+        return Err(Kept::ChannelsDiffer);
+    }
     let fit = Fit::new(&start.shape_counts_per_load, start.bias_counts.clone(), noise * noise);
     let samples = Samples::of(recording, &start.taken);
     let screened = screen(samples, fit, recording.quantisation().counts_per_code())?;
@@ -146,6 +174,7 @@ fn refined(recording: &Recording, start: &TrialShape) -> Result<Refinement, Kept
     } else {
         regression(&screened.samples, &fit)?
     };
+    let covariance = start.covariance.with(along, across);
     let trial = TrialShape {
         samples: counts(&start.samples, screened.outliers),
         taken: taken(recording.len(), &screened.samples),
@@ -153,7 +182,11 @@ fn refined(recording: &Recording, start: &TrialShape) -> Result<Refinement, Kept
         noise_counts: Some(fit.noise_variance.sqrt()),
         bias_counts: fit.bias,
         shape_counts_per_load: fit.shape,
-        covariance: TrialCovariance::of(along, across),
+        coverage: TrialCoverage {
+            worst_relative_uncertainty: covariance.gain_deviation().max(covariance.bias_deviation()),
+            ..start.coverage.clone()
+        },
+        covariance,
     };
     let outcome = Outcome::Refined { iterations, outliers: screened.outliers, error_ratio };
     Ok(Refinement { trial, outcome })

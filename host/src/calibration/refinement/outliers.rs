@@ -15,7 +15,7 @@
 //! principal direction of the residuals by itself, because the noise of channels may differ. Outliers have pulled at the fit, too: it is
 //! found again without them, and they without it, until nothing changes.
 
-use ftcal_shared::estimation::basis::QUANTISATION_VARIANCE;
+use ftcal_shared::estimation::rest_noise::QUANTISATION_VARIANCE;
 use nalgebra::{DMatrix, DVector};
 
 use super::adjusted::AdjustedSums;
