@@ -27,9 +27,12 @@ use crate::recording::Recording;
 /// Whether restless samples may be left out.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum Gating {
-    /// As on the sensor: what repeats itself is rejected, and what moves where that serves the answer.
+    /// What repeats itself is rejected, and what moves where that serves the answer; so is what contradicts the answer, which is
+    /// then found again.
     #[default]
     On,
+    /// The same in one pass, as the sensor does it: with no answer yet to compare the samples with.
+    Once,
     /// Every sample counts that is not saturated.
     Off,
 }
@@ -236,7 +239,7 @@ fn pass<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
     for (_, codes) in recording.samples() {
         let codes = <&[AdcCode; GAGES]>::try_from(codes).map_err(|_| unsupported(codes.len(), RANK))?;
         let verdict = match gating {
-            Gating::On => bins.offer(codes),
+            Gating::On | Gating::Once => bins.offer(codes),
             Gating::Off => bins.offer_ungated(codes),
         }?;
         verdicts.push(verdict);

@@ -80,7 +80,7 @@ pub fn acquire(
         )?;
         let (recording, solution, status) = turn_and_solve(stage, trial, rank)?;
         // The sensor sends its answer alone; how certain that is follows from the same codes.
-        let on_host = trial::solve(&recording, rank, Gating::On).map_err(refused(index))?;
+        let on_host = trial::solve(&recording, rank, Gating::Once).map_err(refused(index))?;
         let of_host = on_host.shape_counts_per_load.clone();
         let shape = from_sensor(&solution, &status, on_host);
         let difference = relative_difference(&shape.shape_counts_per_load, &of_host);
