@@ -6,7 +6,10 @@ use super::basis::{Basis, basis};
 use super::code_sums::CodeSums;
 use super::directions::DirectionMoments;
 use super::eigen::symmetric_eigen;
-use super::metric::{LARGEST_RELATIVE_UNCERTAINTY, metric, require_indifference_to_noise};
+use super::metric::{
+    LARGEST_RELATIVE_UNCERTAINTY, LEAST_UNEXPLAINED, NoiseShift, does_not_span, metric,
+    require_indifference_to_noise,
+};
 use super::moments::Moments;
 use super::projection::{MotionSums, project};
 use super::uncertainty::{Regressors, TrialUncertainty, predict};
@@ -81,12 +84,14 @@ pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
     let variances = eigenvalues.fixed_rows::<RANK>(0).into_owned();
     let deviations = variances.map(libm::sqrt);
     let whitening = SMatrix::<f64, RANK, RANK>::from_diagonal(&deviations.map(|deviation| 1.0 / deviation));
-    let whitened_noise = variances.map(|variance| noise_variance.unwrap_or(0.0) / variance);
     let whitened = quiet.central().transformed(&whitening);
-    let metric = metric(&whitened, &whitened_noise, samples, accepted)?;
-    if noise_variance.is_none() {
-        require_indifference_to_noise(&whitened, &variances, &metric, samples, accepted)?;
-    }
+    let noise = noise_variance.unwrap_or(0.0);
+    let whitened_noise = variances.map(|variance| noise / variance);
+    let metric = metric(&whitened, &variances, noise, samples, accepted)?;
+    let noise_shift = match noise_variance {
+        Some(_) => None,
+        None => Some(require_indifference_to_noise(&whitened, &variances, &metric, samples, accepted)?),
+    };
 
     // M = LLᵀ makes m = Lᵀ(x − c) a unit vector, so z = b + V*Λ^½L⁻ᵀm: A = L⁻¹ in eq. 11, with Ŝ = Λ^½V*ᵀ.
     let factor = Cholesky::new(metric.matrix).ok_or(Refusal::MetricNotPositiveDefinite)?;
@@ -113,9 +118,16 @@ pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
             + mean_of_all * mean_of_all.transpose(),
         samples: all.count(),
     };
-    let noise = noise_variance.unwrap_or(0.0);
-    let uncertainty =
-        predict(&directions, &regressors, &principal.values, noise, metric.unexplained, samples)?;
+    let unexplained =
+        if noise_shift.is_some() { metric.unexplained.max(LEAST_UNEXPLAINED) } else { metric.unexplained };
+    let mut uncertainty = predict(&directions, &regressors, &principal.values, noise, unexplained, samples)?;
+    if let Some(NoiseShift { metric, centre }) = noise_shift {
+        uncertainty.add_shift(&(orientation * metric * orientation.transpose()), &(orientation * centre));
+    }
+    let worst = uncertainty.worst_relative();
+    if worst > accepted {
+        return Err(does_not_span(worst));
+    }
 
     if shape_counts_per_load.iter().chain(bias_counts.iter()).any(|element| !element.is_finite()) {
         return Err(Refusal::NonFinite);
