@@ -1,5 +1,7 @@
 //! What the tests that cross crate borders have in common: simulated trials with a known truth.
 
+pub mod hand;
+
 use ftcal_shared::estimation::moments::Moments;
 use ftcal_shared::units::AdcCode;
 use nalgebra::{DMatrix, SMatrix, SVector};
@@ -41,8 +43,13 @@ impl<const GAGES: usize, const RANK: usize> KnownSensor<GAGES, RANK> {
 
     /// The codes of one load direction (any length; it is made a unit vector), with noise, in whole counts.
     pub fn codes(&self, direction: &SVector<f64, RANK>, rng: &mut ChaCha8Rng) -> [AdcCode; GAGES] {
+        self.codes_at(&direction.normalize(), rng)
+    }
+
+    /// The codes of one load, with noise, in whole counts.
+    pub fn codes_at(&self, load: &SVector<f64, RANK>, rng: &mut ChaCha8Rng) -> [AdcCode; GAGES] {
         let noise = Normal::new(0.0, self.noise).expect("a standard deviation is not negative");
-        let exact = self.bias + self.shape.transpose() * direction.normalize();
+        let exact = self.bias + self.shape.transpose() * load;
         core::array::from_fn(|gage| {
             #[expect(clippy::cast_possible_truncation, reason = "rounded to whole counts")]
             AdcCode::saturating((exact[gage] + noise.sample(rng)).round() as i64)

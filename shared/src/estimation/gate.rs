@@ -13,12 +13,16 @@
 //! |---|---|---|
 //! | change: ‖sₖ − sₖ₋₁‖² + ‖sₖ₊₁ − sₖ‖² | 16σ²p | swinging, tremor, fast turning |
 //! | travel: ‖sₖ₊ᵣ − sₖ₋ᵣ‖², r = `REACH` | 8σ²p | slow turning |
+//! | unrest: ‖sⱼ₊₁ − sⱼ‖² over all j from k − r to k + r − 1 | 48σ²p | swinging that change and travel miss by chance |
 //! | curvature: the squared second differences inside of blocks k−1, k, k+1 | 36σ²p | noise, hardly turning |
 //!
 //! The noise is the curvature that a tenth of all blocks stays below: at rest where the load rested at all. A block is **still**
-//! where change and travel together are no more than 2.2 times that. Of all others, the calmer half by change is **slow**
-//! and the rest **fast**: where a load never rests, its quieter half is at hand. Both levels are tracked as the samples
-//! come, in single precision, and depend on nothing but the codes: sensor and host class alike, to the last bit.
+//! where change and travel together are no more than 2.2 times that, and unrest no more than twice as much. (While a hand swings
+//! the load, change and travel are small now and then by chance; six steps in a row are not. For the same reason the first and the
+//! last three blocks, which lack neighbours to be classed by, are never still. A dozen samples of a swinging load among the
+//! resting ones is enough to make the answer ten times worse.) Of all others, the calmer half by change is **slow** and the rest
+//! **fast**: where a load never rests, its quieter half is at hand. Both levels are tracked as the samples come, in single
+//! precision, and depend on nothing but the codes: sensor and host class alike, to the last bit.
 //!
 //! # Repetition
 //!
@@ -139,6 +143,8 @@ struct Block<const GAGES: usize> {
     off_magnitude: bool,
     sum: [i32; GAGES],
     curvature: f32,
+    /// ‖s − s'‖² from the block before, counts².
+    step: f32,
 }
 
 impl<const GAGES: usize> Block<GAGES> {
@@ -147,6 +153,7 @@ impl<const GAGES: usize> Block<GAGES> {
         off_magnitude: false,
         sum: [0; GAGES],
         curvature: 0.0,
+        step: 0.0,
     };
 
     /// Sums up the full block, and gives the smallest change of a code from its first sample to the second or from the third
@@ -241,9 +248,9 @@ impl<const GAGES: usize> Gate<GAGES> {
             return Verdict::Accepted;
         }
         self.filled = 0;
-        let step = block.complete();
-        if step < i32::MAX && (self.step == 0 || step < self.step) {
-            self.step = step;
+        let least_change = block.complete();
+        if least_change < i32::MAX && (self.step == 0 || least_change < self.step) {
+            self.step = least_change;
         }
         let meets = self.expectation.as_ref().map_or(Meets::Both, |expected| expected.judge(&block.sum));
         if meets == Meets::Neither {
@@ -251,6 +258,7 @@ impl<const GAGES: usize> Gate<GAGES> {
         }
         block.off_magnitude = meets != Meets::Both;
         let newest = self.complete;
+        self.block_mut(newest).step = self.block(newest).distance(self.block(newest.saturating_sub(1)));
         self.complete = self.complete.wrapping_add(1);
         if let Some(number) = newest.checked_sub(REACH) {
             self.release(number, newest, take);
@@ -317,14 +325,28 @@ impl<const GAGES: usize> Gate<GAGES> {
         }
     }
 
+    fn block(&self, number: u32) -> &Block<GAGES> {
+        &self.blocks[number as usize % WINDOW]
+    }
+
+    fn block_mut(&mut self, number: u32) -> &mut Block<GAGES> {
+        &mut self.blocks[number as usize % WINDOW]
+    }
+
     fn class(&mut self, number: u32, newest: u32) -> Quietness {
-        let block = |number: u32| &self.blocks[number as usize % WINDOW];
-        let (here, before, after) =
-            (block(number), block(number.saturating_sub(1)), block((number + 1).min(newest)));
-        let change = here.distance(before) + after.distance(here);
-        let travel = block((number + REACH).min(newest)).distance(block(number.saturating_sub(REACH)));
-        self.follow_noise(before.curvature + here.curvature + after.curvature);
-        if change + travel <= STILL * self.noise.max(self.noise_level(1.0 / 12.0)) {
+        let (first, last) = (number.saturating_sub(REACH), (number + REACH).min(newest));
+        let steps = |from: u32, to: u32| {
+            (from + 1..=to.min(newest)).map(|number| self.block(number).step).sum::<f32>()
+        };
+        let change = steps(number.saturating_sub(1), number + 1);
+        let unrest = steps(first, last);
+        let travel = self.block(last).distance(self.block(first));
+        let curvature = [number.saturating_sub(1), number, (number + 1).min(newest)]
+            .map(|number| self.block(number).curvature);
+        self.follow_noise(curvature.iter().sum());
+        let noise = self.noise.max(self.noise_level(1.0 / 12.0));
+        let seen_whole = last - first == 2 * REACH;
+        if seen_whole && change + travel <= STILL * noise && unrest <= 2.0 * STILL * noise {
             Quietness::Still
         } else if self.is_calmer_half(change) {
             Quietness::Slow

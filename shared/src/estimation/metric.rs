@@ -10,7 +10,7 @@ use nalgebra::{Cholesky, SMatrix, SVector};
 
 use super::eigen::symmetric_eigen;
 use super::motion_moments::MotionMoments;
-use super::quadric::{Coefficients, UNKNOWNS, linear_position, normal_matrix, product_position};
+use super::quadric::{Coefficients, UNKNOWNS, linear_position, monomials, normal_matrix, product_position};
 use crate::refusal::Refusal;
 
 /// The largest relative standard deviation of a principal value of Q that counts as determined by the motion.
@@ -27,6 +27,16 @@ const LARGEST_SCATTER: f64 = 0.1;
 /// least eigenvalue.
 const LARGEST_INVERSE_TRACE: f64 = 1e5;
 
+/// ε: rounding of the moments, relative to the largest of them: some 5·10⁻⁹ as they are summed up, and the same again in taking them
+/// about their mean.
+const ROUNDING: f64 = 1e-8;
+
+/// Rounding is no part of the uncertainty that is told, so that it must not matter: so many times its deviation counts.
+const ROUNDING_WEIGHT: f64 = 10.0;
+
+/// What the rounding of the moments may hide of the unexplained variance: a few parts in 10⁻⁹ of them.
+pub(crate) const LEAST_UNEXPLAINED: f64 = 1e-8;
+
 /// The ellipsoid (x − c)ᵀ M (x − c) = 1 of the motion in whitened coordinates.
 #[derive(Clone, Debug)]
 pub struct Metric<const RANK: usize> {
@@ -40,9 +50,9 @@ pub struct Metric<const RANK: usize> {
 
 /// Solves the metric constraint from central moments of the whitened motion.
 ///
-/// `noise` is the variance of the noise in each whitened coordinate; zero where it is not known. `accepted` is the largest
-/// relative standard deviation of a principal value of Q with which there is an answer: [`LARGEST_RELATIVE_UNCERTAINTY`],
-/// or more for one that says no more than where a trial stands.
+/// `variances` are those of the motion before it was whitened, `noise_variance` that of a channel in the same unit; zero where it
+/// is not known. `accepted` is the largest relative standard deviation of a principal value of Q with which there is an
+/// answer: [`LARGEST_RELATIVE_UNCERTAINTY`], or more for one that says no more than where a trial stands.
 ///
 /// # Errors
 ///
@@ -52,13 +62,15 @@ pub struct Metric<const RANK: usize> {
 #[inline(never)]
 pub fn metric<const RANK: usize>(
     moments: &MotionMoments<RANK>,
-    noise: &SVector<f64, RANK>,
+    variances: &SVector<f64, RANK>,
+    noise_variance: f64,
     samples: u64,
     accepted: f64,
 ) -> Result<Metric<RANK>, Refusal> {
-    let Equations { normal: mut covariance, right, second } = equations(moments, noise);
-    invert(&mut covariance)?;
-    let solution = covariance * right;
+    let noise = variances.map(|variance| noise_variance / variance);
+    let Equations { normal: mut inverse, right, second } = equations(moments, &noise);
+    invert(&mut inverse)?;
+    let solution = inverse * right;
 
     let quadratic = SMatrix::from_fn(|a, b| {
         let element = solution[product_position::<RANK>(a, b)];
@@ -70,7 +82,8 @@ pub fn metric<const RANK: usize>(
     // moves xᵀQx + gᵀx by its product with the gradient 2Qx + g.
     let unexplained = (1.0 - solution.dot(&right)).max(0.0);
     let squared_gradient = (quadratic * second * quadratic * 4.0).diagonal() + linear.component_mul(&linear);
-    covariance *= (unexplained + squared_gradient.dot(noise)) / samples.max(1) as f64;
+    let covariance = inverse * ((unexplained + squared_gradient.dot(&noise)) / samples.max(1) as f64)
+        + rounding(&inverse, &solution, variances);
     require_determined::<RANK>(&quadratic, &covariance, accepted)?;
 
     let quadratic_factor = Cholesky::new(quadratic).ok_or(Refusal::MetricNotPositiveDefinite)?;
@@ -121,6 +134,15 @@ fn invert(normal: &mut SMatrix<f64, UNKNOWNS, UNKNOWNS>) -> Result<(), Refusal> 
     if normal.trace() > LARGEST_INVERSE_TRACE { Err(does_not_span(f64::INFINITY)) } else { Ok(()) }
 }
 
+/// By how much unknown noise may have moved the ellipsoid, in coordinates in which the one found is |m| = 1.
+#[derive(Clone, Debug)]
+pub struct NoiseShift<const RANK: usize> {
+    /// E (r × r): what is added to the identity.
+    pub metric: SMatrix<f64, RANK, RANK>,
+    /// δ (r): how far the centre moves.
+    pub centre: SVector<f64, RANK>,
+}
+
 /// Where nothing redundant tells the noise (p = r), the answer must not hinge on it.
 ///
 /// The moments then carry noise of unknown variance σ² in every channel, ν_k = σ²/λ_k in whitened coordinate k, and pull the
@@ -128,7 +150,7 @@ fn invert(normal: &mut SMatrix<f64, UNKNOWNS, UNKNOWNS>) -> Result<(), Refusal> 
 /// like a motion. But noise cannot hide: to first order it leaves a variance of Σ ν_k ⟨(∂/∂x_k)²⟩ of (x − c)ᵀM(x − c)
 /// unexplained, with the gradient 2M(x − c). All that is unexplained, taken for noise, gives the most that σ² can be; solved
 /// with that much noise taken out, the ellipsoid must stay where it was, by the measure that its own statistical
-/// uncertainty must meet: no more than `accepted`.
+/// uncertainty must meet: no more than `accepted`. By as much as it does move, the answer may be off for all that is known.
 ///
 /// # Errors
 ///
@@ -139,24 +161,42 @@ pub fn require_indifference_to_noise<const RANK: usize>(
     found: &Metric<RANK>,
     samples: u64,
     accepted: f64,
-) -> Result<(), Refusal> {
+) -> Result<NoiseShift<RANK>, Refusal> {
     let m = &found.matrix;
     let about_centre =
         SMatrix::<f64, RANK, RANK>::from_fn(|a, b| moments.second[a][b] + found.centre[a] * found.centre[b]);
     let squared_gradient = (m * about_centre * m * 4.0).diagonal();
     let shares = variances.map(|variance| 1.0 / variance);
-    let most = found.unexplained / squared_gradient.dot(&shares);
-    let other = metric(moments, &(shares * most), samples, accepted)?;
+    let most = found.unexplained.max(LEAST_UNEXPLAINED) / squared_gradient.dot(&shares);
+    let other = metric(moments, variances, most, samples, accepted)?;
 
     // In coordinates in which the ellipsoid found is the unit sphere.
     let factor = Cholesky::new(found.matrix).ok_or(Refusal::MetricNotPositiveDefinite)?;
     let half = factor.l().solve_lower_triangular(&other.matrix).ok_or(Refusal::NonFinite)?;
     let relative = factor.l().solve_lower_triangular(&half.transpose()).ok_or(Refusal::NonFinite)?;
-    let values = symmetric_eigen(&relative)?.values.map(|value| (value - 1.0).abs());
-    let shift = (factor.l().transpose() * (other.centre - found.centre)).norm();
+    let metric = relative - SMatrix::<f64, RANK, RANK>::identity();
+    let centre = factor.l().transpose() * (other.centre - found.centre);
     // A gain changes by half of what its square does.
-    let change = values.max().max(2.0 * shift);
-    if change > accepted { Err(does_not_span(change)) } else { Ok(()) }
+    let change = symmetric_eigen(&metric)?.values.amax().max(2.0 * centre.norm());
+    if change > accepted { Err(does_not_span(change)) } else { Ok(NoiseShift { metric, centre }) }
+}
+
+/// What rounding does to the coefficients s = N⁻¹⟨φ⟩, as a covariance, [`ROUNDING_WEIGHT`] times as large as it is.
+///
+/// The moments of the codes are rounded by ε of their size, which is that of the strongest axis of the motion. In
+/// coordinates of that size, y = T x with T = diag √(λₐ/λ₁), all elements of N_y = D N D are off by ε, where D has the products
+/// of T that belong to φ. So s_y = D⁻¹s is off by ε|s_y| N_y⁻¹, and s by N⁻¹D⁻¹ times that: little in a round motion, and most in
+/// a motion that is flat and hardly determines what is across it.
+fn rounding<const RANK: usize>(
+    inverse: &SMatrix<f64, UNKNOWNS, UNKNOWNS>,
+    solution: &Coefficients,
+    variances: &SVector<f64, RANK>,
+) -> SMatrix<f64, UNKNOWNS, UNKNOWNS> {
+    let flatness = variances.map(|variance| libm::sqrt(variances.max() / variance));
+    let sizes = monomials(&flatness);
+    let coefficients = solution.component_mul(&sizes).norm();
+    let off = inverse * SMatrix::from_diagonal(&sizes) * (ROUNDING * ROUNDING_WEIGHT * coefficients);
+    off * off.transpose()
 }
 
 /// Every principal value of Q must stand clear of its own uncertainty; a negative one that does is no ellipsoid.
@@ -200,7 +240,7 @@ fn means<const RANK: usize>(central: &MotionMoments<RANK>) -> Coefficients {
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "a report of three digits")]
-const fn does_not_span(relative_uncertainty: f64) -> Refusal {
+pub(crate) const fn does_not_span(relative_uncertainty: f64) -> Refusal {
     Refusal::MotionDoesNotSpan {
         relative_uncertainty: relative_uncertainty as f32,
         need: LARGEST_RELATIVE_UNCERTAINTY as f32,

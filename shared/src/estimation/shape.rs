@@ -6,7 +6,10 @@ use super::basis::{Basis, basis};
 use super::code_sums::CodeMean;
 use super::directions::DirectionMoments;
 use super::eigen::symmetric_eigen;
-use super::metric::{LARGEST_RELATIVE_UNCERTAINTY, Metric, metric, require_indifference_to_noise};
+use super::metric::{
+    LARGEST_RELATIVE_UNCERTAINTY, LEAST_UNEXPLAINED, Metric, NoiseShift, does_not_span, metric,
+    require_indifference_to_noise,
+};
 use super::moments::Moments;
 use super::projection::{MotionSums, project};
 use super::rest_noise::ChannelNoise;
@@ -95,7 +98,7 @@ pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
     // Where nothing tells the noise, there is at least the rounding.
     let noise = noise_variance.unwrap_or(rounding);
     let whitened_noise = variances.map(|variance| noise / variance);
-    let metric = constraint(subspace, quiet, &whitening, &whitened_noise, accepted)?;
+    let (metric, noise_shift) = constraint(subspace, quiet, &whitening, noise, accepted)?;
 
     // M = LLᵀ makes m = Lᵀ(x − c) a unit vector, so z = b + VΛ^½L⁻ᵀm, V being the embedding: A = L⁻¹ in eq. 11, with
     // Ŝ = Λ^½Vᵀ.
@@ -124,8 +127,17 @@ pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
             + mean_of_all * mean_of_all.transpose(),
         samples: all.samples,
     };
-    let uncertainty = predict(&directions, &regressors, &load_noise, noise, metric.unexplained, samples)?;
-    require_known(uncertainty.worst_relative(), accepted)?;
+    let unexplained =
+        if noise_shift.is_some() { metric.unexplained.max(LEAST_UNEXPLAINED) } else { metric.unexplained };
+    let mut uncertainty = predict(&directions, &regressors, &load_noise, noise, unexplained, samples)?;
+    if let Some(NoiseShift { metric, centre }) = noise_shift {
+        uncertainty.add_shift(&(orientation * metric * orientation.transpose()), &(orientation * centre));
+    }
+    // A cap of directions may determine the principal values of the constraint, and leave the bias and a gain to trade places.
+    let worst = uncertainty.worst_relative();
+    if worst > accepted {
+        return Err(does_not_span(worst));
+    }
 
     if shape_counts_per_load.iter().chain(bias_counts.iter()).any(|element| !element.is_finite()) {
         return Err(Refusal::NonFinite);
@@ -145,16 +157,6 @@ pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
     })
 }
 
-/// Every coefficient must be known: a cap of directions may determine the principal values of the constraint and leave the bias and a
-/// gain to trade places.
-#[expect(clippy::cast_possible_truncation, reason = "a report of three digits")]
-fn require_known(worst_relative: f64, accepted: f64) -> Result<(), Refusal> {
-    if worst_relative <= accepted {
-        return Ok(());
-    }
-    Err(Refusal::MotionDoesNotSpan { relative_uncertainty: worst_relative as f32, need: accepted as f32 })
-}
-
 /// The metric constraint in whitened coordinates. Never inlined, nor is [`directions`]: moments up to degree four are large, and the
 /// sensor's stack is not.
 #[inline(never)]
@@ -162,15 +164,17 @@ fn constraint<const GAGES: usize, const RANK: usize>(
     subspace: &Basis<GAGES, RANK>,
     quiet: &MotionSums<RANK>,
     whitening: &SMatrix<f64, RANK, RANK>,
-    whitened_noise: &SVector<f64, RANK>,
+    noise_variance: f64,
     accepted: f64,
-) -> Result<Metric<RANK>, Refusal> {
+) -> Result<(Metric<RANK>, Option<NoiseShift<RANK>>), Refusal> {
     let whitened = quiet.central().transformed(whitening);
-    let metric = metric(&whitened, whitened_noise, quiet.samples(), accepted)?;
-    if subspace.noise_variance.is_none() {
-        require_indifference_to_noise(&whitened, &subspace.variances, &metric, quiet.samples(), accepted)?;
-    }
-    Ok(metric)
+    let (variances, samples) = (&subspace.variances, quiet.samples());
+    let metric = metric(&whitened, variances, noise_variance, samples, accepted)?;
+    let noise_shift = match subspace.noise_variance {
+        Some(_) => None,
+        None => Some(require_indifference_to_noise(&whitened, variances, &metric, samples, accepted)?),
+    };
+    Ok((metric, noise_shift))
 }
 
 /// Where the load has been: `to_direction` (r × r) takes the coordinates of the motion to directions, `mean` is their mean

@@ -125,6 +125,19 @@ fn spread_over_directions<const RANK: usize>(
 }
 
 impl<const RANK: usize> TrialUncertainty<RANK> {
+    /// Adds an error along the shape that is not of chance: the constraint may be (m − δ)ᵀ(I + E)(m − δ) = 1 for all that is
+    /// known, with E the `metric` and δ the `centre`. To first order, mᵀEm − 2δᵀm is added to |m|².
+    pub fn add_shift(&mut self, metric: &SMatrix<f64, RANK, RANK>, centre: &SVector<f64, RANK>) {
+        let mut shift = Coefficients::zeros();
+        for a in 0..RANK {
+            for b in a..RANK {
+                shift[product_position::<RANK>(a, b)] = metric[(a, b)] / 2.0;
+            }
+            shift[linear_position::<RANK>(a)] = -centre[a];
+        }
+        self.along += shift * shift.transpose();
+    }
+
     /// Covariance along the shape: the elements (a ≤ b) of E/2 row by row, then h/2; only the first
     /// RANK·(RANK + 1)/2 + RANK rows and columns mean anything. Relative to the shape, and to the load.
     pub const fn along(&self) -> &SMatrix<f64, UNKNOWNS, UNKNOWNS> {

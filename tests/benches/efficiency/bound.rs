@@ -37,30 +37,35 @@ impl<const GAGES: usize, const RANK: usize> Information<GAGES, RANK> {
 
     /// Adds a sample whose load points in direction `m`, a unit vector.
     pub(crate) fn add(&mut self, m: &SVector<f64, RANK>) {
-        let across = self.across(m);
+        self.add_across(m, &self.across(m));
+    }
+
+    /// Adds a sample whose load points in direction `m` with a magnitude that nobody knows: it may be anywhere in the span of S,
+    /// and tells only what is across that.
+    pub(crate) fn add_of_unknown_magnitude(&mut self, m: &SVector<f64, RANK>) {
+        let rows = self.shape.row_iter().map(|row| row.transpose());
+        self.add_across(m, &without(rows));
+    }
+
+    fn add_across(&mut self, m: &SVector<f64, RANK>, across: &SMatrix<f64, GAGES, GAGES>) {
         let regressor = DVector::from_fn(RANK + 1, |row, _| if row < RANK { m[row] } else { 1.0 });
         for a in 0..=RANK {
             for b in 0..=RANK {
                 let weight = regressor[a] * regressor[b];
                 let mut block = self.sum.view_mut((a * GAGES, b * GAGES), (GAGES, GAGES));
-                block.zip_apply(&across, |sum, element| *sum += weight * element);
+                block.zip_apply(across, |sum, element| *sum += weight * element);
             }
         }
     }
 
-    /// P: the projection across the movement of the sample with its direction, by Gram and Schmidt over the tangents
-    /// eₐ − m mₐ, of which r − 1 are independent.
+    /// P: the projection across the movement of the sample with its direction, the tangents eₐ − m mₐ, of which r − 1 are
+    /// independent.
     fn across(&self, m: &SVector<f64, RANK>) -> SMatrix<f64, GAGES, GAGES> {
         let along_load = self.shape.transpose() * m;
-        let mut across = SMatrix::<f64, GAGES, GAGES>::identity();
         // Without the axis closest to m, whose tangent is the shortest, the others are independent.
         let skipped = m.iamax();
-        for axis in (0..RANK).filter(|&axis| axis != skipped) {
-            let tangent = self.shape.row(axis).transpose() - along_load * m[axis];
-            let rest = across * tangent;
-            across -= rest * rest.transpose() / rest.norm_squared();
-        }
-        across
+        let axes = (0..RANK).filter(|&axis| axis != skipped);
+        without(axes.map(|axis| self.shape.row(axis).transpose() - along_load * m[axis]))
     }
 
     /// The least mean square error of S, counts² per load², summed over its elements.
@@ -75,4 +80,14 @@ impl<const GAGES: usize, const RANK: usize> Information<GAGES, RANK> {
             .map(|k| eigen.eigenvectors.column(k).rows(0, RANK * GAGES).norm_squared() / eigen.eigenvalues[k])
             .sum()
     }
+}
+
+/// The projection across independent vectors, by Gram and Schmidt.
+fn without<const GAGES: usize>(
+    vectors: impl Iterator<Item = SVector<f64, GAGES>>,
+) -> SMatrix<f64, GAGES, GAGES> {
+    vectors.fold(SMatrix::identity(), |across, vector| {
+        let rest = across * vector;
+        across - rest * rest.transpose() / rest.norm_squared()
+    })
 }

@@ -58,6 +58,16 @@ impl Table {
         println!("| {quantity} | {required} | {measured:.3} | {verdict} |");
     }
 
+    /// A number beside the others, of which nothing is required.
+    pub(crate) fn noted(quantity: &str, measured: f64) {
+        // Errors of a wrench are small, ratios of them are not.
+        if measured.abs() < 0.1 && measured != 0.0 {
+            println!("| {quantity} | | {measured:.2e} | |");
+        } else {
+            println!("| {quantity} | | {measured:.3} | |");
+        }
+    }
+
     /// A row for which there is nothing to measure yet.
     pub(crate) fn not_measured(quantity: &str, required: Required, missing: &str) {
         println!("| {quantity} | {required} | not measured: {missing} | |");
@@ -67,4 +77,10 @@ impl Table {
     pub(crate) const fn missed(&self) -> usize {
         self.missed
     }
+}
+
+/// The number in the middle; not a number of none.
+pub(crate) fn median(mut numbers: Vec<f64>) -> f64 {
+    numbers.sort_by(f64::total_cmp);
+    numbers.get(numbers.len() / 2).copied().unwrap_or(f64::NAN)
 }
