@@ -54,8 +54,8 @@ const BLOCK_SAMPLES: u32 = 4;
 /// Blocks to each side of a block by which it is classed.
 const REACH: u32 = 3;
 
-/// Blocks kept.
-const WINDOW: usize = 2 * REACH as usize + 1;
+/// Blocks kept: those of a class, in a number that a division by is none.
+const WINDOW: usize = (2 * REACH as usize + 1).next_power_of_two();
 
 /// Identical samples in a row, after the first, that are still taken.
 const ALLOWED_REPEATS: u32 = 4;
@@ -335,11 +335,14 @@ impl<const GAGES: usize> Gate<GAGES> {
 
     fn class(&mut self, number: u32, newest: u32) -> Quietness {
         let (first, last) = (number.saturating_sub(REACH), (number + REACH).min(newest));
-        let steps = |from: u32, to: u32| {
-            (from + 1..=to.min(newest)).map(|number| self.block(number).step).sum::<f32>()
-        };
-        let change = steps(number.saturating_sub(1), number + 1);
-        let unrest = steps(first, last);
+        let (mut change, mut unrest) = (0.0, 0.0);
+        for j in first + 1..=last {
+            let step = self.block(j).step;
+            unrest += step;
+            if j == number || j == number + 1 {
+                change += step;
+            }
+        }
         let travel = self.block(last).distance(self.block(first));
         let curvature = [number.saturating_sub(1), number, (number + 1).min(newest)]
             .map(|number| self.block(number).curvature);
