@@ -50,7 +50,7 @@ pub fn calibration(refusal: &CalibrationRefusal) -> Explained {
         ),
         CalibrationRefusal::KnownLoadsDoNotOrient { trial, loads, uncertainty_deg } => Explained::new(
             "known-loads-do-not-orient",
-            if uncertainty_deg.is_finite() {
+            if *uncertainty_deg < 180.0 {
                 format!(
                     "trial {}: {loads} known load(s) fix its orientation only within {uncertainty_deg:.1}°",
                     trial + 1

@@ -160,7 +160,8 @@ impl Reader<'_> {
         let trials = self.solved_trials(Role::Fit)?;
         if self.approach.linearity == Linearity::Required {
             for (number, trial) in trials.iter().enumerate() {
-                linearity::require_linear(number, trial).map_err(|refusal| self.refused(refusal))?;
+                linearity::require_linear(number, &trial.shape, &trial.case.known_loads)
+                    .map_err(|refusal| self.refused(refusal))?;
             }
         }
         Ok(trials)

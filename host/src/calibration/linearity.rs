@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 use super::accuracy::wrench_deviation;
 use super::known_load::{KnownLoad, squashing_matrix};
 use super::procrustes::onto;
+use super::trial::TrialShape;
 use super::{Calibration, CalibrationRefusal, SolvedTrial};
 
 /// How many times the (r+1)-th standard deviation may exceed that at rest.
@@ -75,18 +76,23 @@ pub enum CheckVerdict {
     BeyondUncertainty,
 }
 
-/// Refuses a trial (numbered from zero) whose codes leave the directions of a linear sensor. Where no rest tells the noise,
-/// nothing tells the one from the other.
+/// Refuses a trial (numbered from zero) whose codes leave the directions of a linear sensor. The noise is that of the known loads'
+/// rests or, where there are none, of the quietest samples of the trial. Where nothing tells the noise, nothing tells the
+/// one from the other.
 ///
 /// # Errors
 ///
 /// [`CalibrationRefusal::NotLinear`].
-pub fn require_linear(trial: usize, solved: &SolvedTrial) -> Result<(), CalibrationRefusal> {
-    let rank = solved.shape.rank();
-    let Some(rest_counts) = noise_at_rest(&solved.case.known_loads) else { return Ok(()) };
-    let Some(&next) = solved.shape.eigenvalues.get(rank) else { return Ok(()) };
+pub fn require_linear(
+    trial: usize,
+    shape: &TrialShape,
+    known_loads: &[KnownLoad],
+) -> Result<(), CalibrationRefusal> {
+    let rank = shape.rank();
+    let rest_counts = noise_at_rest(known_loads).or(shape.quietest_noise_counts);
+    let (Some(rest_counts), Some(&next)) = (rest_counts, shape.eigenvalues.get(rank)) else { return Ok(()) };
     let redundant_counts = next.max(0.0).sqrt();
-    let signal_counts = solved.shape.shape_counts_per_load.norm() / (rank as f64).sqrt();
+    let signal_counts = shape.shape_counts_per_load.norm() / (rank as f64).sqrt();
     if redundant_counts > LARGEST_NOISE_RATIO * rest_counts
         && redundant_counts > LEAST_NONLINEARITY * signal_counts
     {
@@ -193,8 +199,10 @@ mod tests {
     fn a_bent_sensor_is_refused_and_a_straight_one_is_not() {
         for seed in 0..10 {
             let mut sensor = Sensor::new(Dof::SpatialForce, 8, seed);
-            assert_eq!(require_linear(0, &solved(&mut sensor, 0.0)), Ok(()));
-            let refused = require_linear(0, &solved(&mut sensor, 0.1));
+            let straight = solved(&mut sensor, 0.0);
+            assert_eq!(require_linear(0, &straight.shape, &straight.case.known_loads), Ok(()));
+            let bent = solved(&mut sensor, 0.1);
+            let refused = require_linear(0, &bent.shape, &bent.case.known_loads);
             assert!(matches!(refused, Err(CalibrationRefusal::NotLinear { trial: 0, .. })), "{refused:?}");
         }
     }

@@ -13,7 +13,6 @@ use ftcal_shared::estimation::bins::{Bins, QuietSolution};
 use ftcal_shared::estimation::expectation::Expectation;
 use ftcal_shared::estimation::gate::{BLOCK, Gate, Quietness, Verdict};
 use ftcal_shared::estimation::moments::higher_moment_count;
-use ftcal_shared::estimation::shape::TrialSolution;
 use ftcal_shared::refusal::Refusal;
 use ftcal_shared::units::AdcCode;
 use ftcal_shared::wire::{Solution, TrialStatus};
@@ -127,6 +126,8 @@ pub struct TrialShape {
     pub eigenvalues: DVector<f64>,
     /// Standard deviation of one channel's noise, counts; `None` at p = r, where nothing redundant tells it.
     pub noise_counts: Option<f64>,
+    /// Standard deviation of one channel's noise in the quietest tenth of the samples, counts; `None` of too few.
+    pub quietest_noise_counts: Option<f64>,
     /// b (p), counts.
     pub bias_counts: DVector<f64>,
     /// S (r × p), counts per unit load: z = b + Sᵀm with |m| = 1, up to a rotation and a mirror image.
@@ -209,7 +210,7 @@ fn solve_gages<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
         }
     }
     let taken = pass.taken(recording, gating, expectation);
-    in_counts(&pass.quiet.solution, recording, pass.counts(), taken)
+    in_counts(&pass, recording, taken)
 }
 
 /// Whether any sample is not what is expected.
@@ -225,6 +226,7 @@ fn surprises<const GAGES: usize>(recording: &Recording, expected: &Expectation<G
 struct Pass<const GAGES: usize, const RANK: usize> {
     verdicts: Vec<Verdict>,
     off_magnitude: u32,
+    quietest_variance: Option<f64>,
     quiet: QuietSolution<GAGES, RANK>,
 }
 
@@ -256,7 +258,12 @@ fn pass<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
         }
         other => other,
     })?;
-    Ok(Pass { verdicts, off_magnitude: bins.off_magnitude(), quiet })
+    Ok(Pass {
+        verdicts,
+        off_magnitude: bins.off_magnitude(),
+        quietest_variance: bins.quietest_variance().filter(|_| gating != Gating::Off),
+        quiet,
+    })
 }
 
 impl<const GAGES: usize, const RANK: usize> Pass<GAGES, RANK> {
@@ -303,19 +310,20 @@ fn count(verdicts: &[Verdict], cause: Verdict) -> u64 {
 
 /// The solution in the counts of the recording.
 fn in_counts<const GAGES: usize, const RANK: usize>(
-    solution: &TrialSolution<GAGES, RANK>,
+    pass: &Pass<GAGES, RANK>,
     recording: &Recording,
-    samples: SampleCounts,
     taken: Vec<bool>,
 ) -> Result<TrialShape, Refusal> {
+    let solution = &pass.quiet.solution;
     let quantisation = recording.quantisation();
     let step = quantisation.counts_per_code();
     let bias_codes = DVector::from_column_slice(solution.bias_counts.as_slice());
     let shape_codes = DMatrix::from_column_slice(RANK, GAGES, solution.shape_counts_per_load.as_slice());
     let shape = TrialShape {
-        samples,
+        samples: pass.counts(),
         taken,
         eigenvalues: DVector::from_column_slice(solution.eigenvalues.as_slice()) * (step * step),
+        quietest_noise_counts: pass.quietest_variance.map(|variance| variance.max(0.0).sqrt() * step),
         noise_counts: solution.noise_variance.map(|variance| variance.max(0.0).sqrt() * step),
         bias_counts: bias_codes * step + quantisation.offset_counts(),
         shape_counts_per_load: shape_codes * step,

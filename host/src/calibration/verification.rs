@@ -1,7 +1,9 @@
 //! The field check: does a calibrated sensor still measure a known mass, and are its gages sound (design § 8)?
 //!
-//! The mean of |f| over the samples at rest, or over all where the load never rests, is compared with m·g. What difference is to be
-//! expected is the root of the sum of the squares of
+//! The samples at rest, or all where the load never rests, are taken together while the force stays where it is, at most
+//! [`LONGEST_STAY`] of them: f is their mean, which has little noise left to make |f| too large. The mean of |f| over all of these
+//! stays is compared with m·g, and so is each stay by itself: a sensor may be too strong along one axis and too weak along another.
+//! What difference is to be expected is the root of the sum of the squares of
 //!
 //! * what the calibration promises at its full load F ([`super::accuracy`]), in the ratio of the loads, and of its bias, which does not
 //!   fall with the load; for a calibration that states no uncertainty, what its trials' records suggest ([`suggested_deviation`]);
@@ -28,6 +30,15 @@ use crate::recording::Recording;
 /// How many predicted standard deviations the magnitude may be off: beyond, one good sensor in 370 fails.
 pub const LARGEST_DIFFERENCE: f64 = 3.0;
 
+/// The same for the worst of many stays.
+pub const LARGEST_DIFFERENCE_OF_MANY: f64 = 5.0;
+
+/// Samples in one stay at most: a load that is turned slowly hardly turns meanwhile.
+const LONGEST_STAY: usize = 64;
+
+/// The force stays where it is while it is within this of where it was, relative, or within its noise.
+const SAME_PLACE: f64 = 0.02;
+
 /// What the field check finds.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Verification {
@@ -47,6 +58,10 @@ pub struct Verification {
     pub mass_deviation_n: f64,
     /// Whether the magnitude is within three standard deviations.
     pub magnitude_passed: bool,
+    /// Magnitude of the force in the stay that is farthest off, newton.
+    pub worst_n: f64,
+    /// Whether that is within five standard deviations.
+    pub worst_passed: bool,
     /// Health of the gages; `null` where there are as many as components.
     pub parity: Option<Parity>,
     /// Samples recorded, used, and left out by cause.
@@ -69,9 +84,8 @@ pub struct KnownMass {
 pub fn verify(calibration: &Calibration, recording: &Recording, mass: KnownMass) -> Option<Verification> {
     let Rested { counts, samples } = rested(recording)?;
     let signals: Vec<DVector<f64>> = counts.iter().map(|counts| counts - &calibration.bias_counts).collect();
-    let force_rows = calibration.matrix.rows(0, calibration.dof.trial_rank());
-    let lengths: Vec<f64> = signals.iter().map(|signal| (force_rows * signal).norm()).collect();
-    let mean_n = magnitude(lengths.iter().copied())?.mean;
+    let stays = stays(calibration, &signals);
+    let mean_n = magnitude(stays.iter().map(|stay| stay.force_n))?.mean;
 
     let KnownMass { mass_kg, accuracy_kg, elsewhere } = mass;
     let gravity = elsewhere.map_or(calibration.gravity, |gravity| gravity.magnitude);
@@ -86,6 +100,12 @@ pub fn verify(calibration: &Calibration, recording: &Recording, mass: KnownMass)
     let predicted_deviation_n =
         calibration_deviation_n.hypot(mass_deviation_n).hypot(sampling_deviation(calibration, signals.len()));
     let difference_n = mean_n - expected_n;
+    // One stay: its noise, and what the mean has in common with all of them.
+    let systematic_n = calibration_deviation_n.hypot(mass_deviation_n);
+    let excess = |stay: &Stay| {
+        (stay.force_n - expected_n).abs() / systematic_n.hypot(sampling_deviation(calibration, stay.samples))
+    };
+    let worst = stays.iter().max_by(|a, b| excess(a).total_cmp(&excess(b)))?;
     let verification = Verification {
         mean_n,
         expected_n,
@@ -95,10 +115,40 @@ pub fn verify(calibration: &Calibration, recording: &Recording, mass: KnownMass)
         calibration_states_it: stated.is_some(),
         mass_deviation_n,
         magnitude_passed: difference_n.abs() <= LARGEST_DIFFERENCE * predicted_deviation_n,
+        worst_n: worst.force_n,
+        worst_passed: excess(worst) <= LARGEST_DIFFERENCE_OF_MANY,
         parity: parity(calibration, &signals),
         samples,
     };
     (difference_n.is_finite() && predicted_deviation_n.is_finite()).then_some(verification)
+}
+
+/// The force over successive samples during which it stayed where it was.
+struct Stay {
+    /// |f| of their mean, newton.
+    force_n: f64,
+    samples: usize,
+}
+
+fn stays(calibration: &Calibration, signals: &[DVector<f64>]) -> Vec<Stay> {
+    let force_rows = calibration.matrix.rows(0, calibration.dof.trial_rank());
+    let forces: Vec<DVector<f64>> = signals.iter().map(|signal| force_rows * signal).collect();
+    // Six standard deviations of a difference between two samples, over all components.
+    let noise_n = 6.0
+        * (2.0 * forces.first().map_or(0, DVector::len) as f64).sqrt()
+        * sampling_deviation(calibration, 1);
+    let mut stays = Vec::new();
+    let mut rest = forces.as_slice();
+    while let Some(first) = rest.first() {
+        let near = (SAME_PLACE * first.norm()).max(noise_n);
+        let together = rest.iter().take(LONGEST_STAY).take_while(|force| (*force - first).norm() <= near);
+        let samples = together.count().max(1);
+        let (stay, after) = rest.split_at(samples);
+        let mean = stay.iter().sum::<DVector<f64>>() / samples as f64;
+        stays.push(Stay { force_n: mean.norm(), samples });
+        rest = after;
+    }
+    stays
 }
 
 /// Standard deviation, newton, of the magnitude that the calibration measures of a force of `force_n` newton, as it states

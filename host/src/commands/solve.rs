@@ -9,6 +9,7 @@ use serde::Serialize;
 
 use super::{Failure, Streams, print_json};
 use crate::calibration::coverage::TrialCoverage;
+use crate::calibration::linearity::require_linear;
 use crate::calibration::motion::{Magnitude, recover};
 use crate::calibration::refinement::Refining;
 use crate::calibration::trial::{Gating, SampleCounts, TrialShape, solve};
@@ -31,6 +32,9 @@ pub struct Arguments {
     /// Take the trial as the sensor itself would solve it
     #[arg(long)]
     pub no_refine: bool,
+    /// Solve a sensor that is not linear as if it were
+    #[arg(long)]
+    pub allow_nonlinear: bool,
     /// Print refusals as JSON, too, and no summary
     #[arg(long)]
     pub json: bool,
@@ -92,8 +96,7 @@ impl From<&TrialCoverage> for Coverage {
 }
 
 impl Report {
-    fn new(recording: &Recording, rank: usize, gate: Gating, refining: Refining) -> Result<Self, Refusal> {
-        let trial = refining.of(recording, solve(recording, rank, gate)?);
+    fn new(recording: &Recording, trial: TrialShape) -> Result<Self, Refusal> {
         let magnitude = recover(recording, &trial)?.magnitude().ok_or(Refusal::NonFinite)?;
         let (rank, gages) = (trial.rank(), trial.gages());
         let uncertainty = Uncertainty {
@@ -172,8 +175,12 @@ impl Report {
 pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> {
     let recording = Recording::read(&arguments.recording).map_err(Failure::input)?;
     let refining = if arguments.no_refine { Refining::Off } else { Refining::On };
-    let report = Report::new(&recording, usize::from(arguments.rank), arguments.gate, refining)
-        .map_err(|refusal| Failure::Refused(remedy::estimation(&refusal)))?;
+    let refused = |refusal| Failure::Refused(remedy::estimation(&refusal));
+    let start = solve(&recording, usize::from(arguments.rank), arguments.gate).map_err(refused)?;
+    if !arguments.allow_nonlinear {
+        require_linear(0, &start, &[]).map_err(|refusal| Failure::Refused(remedy::calibration(&refusal)))?;
+    }
+    let report = Report::new(&recording, refining.of(&recording, start)).map_err(refused)?;
     if !arguments.json {
         report.summarise(streams.words)?;
     }

@@ -66,8 +66,12 @@ fn failure(found: &Verification) -> Option<Explained> {
     if let Some(parity) = found.parity.as_ref().filter(|parity| !parity.passed) {
         return Some(remedy::gage_suspect(parity.worst_gage, parity.worst_standardised));
     }
-    (!found.magnitude_passed)
-        .then(|| remedy::verification_failed(found.mean_n, found.expected_n, found.predicted_deviation_n))
+    let failed =
+        |measured_n| remedy::verification_failed(measured_n, found.expected_n, found.predicted_deviation_n);
+    if !found.magnitude_passed {
+        return Some(failed(found.mean_n));
+    }
+    (!found.worst_passed).then(|| failed(found.worst_n))
 }
 
 fn summarise(found: &Verification, out: &mut dyn Write) -> io::Result<()> {
@@ -87,6 +91,12 @@ fn summarise(found: &Verification, out: &mut dyn Write) -> io::Result<()> {
         found.calibration_deviation_n,
         if found.calibration_states_it { "" } else { " (which states none: by its records)" },
         found.mass_deviation_n
+    )?;
+    writeln!(
+        out,
+        "farthest   {:.4} N ({:+.3} %) in one direction",
+        found.worst_n,
+        percent(found.worst_n - expected_n)
     )?;
     match &found.parity {
         Some(parity) => writeln!(

@@ -3,13 +3,13 @@
 use super::Explained;
 
 /// Explains why a calibration fails its field check.
-pub fn verification_failed(mean_n: f64, expected_n: f64, deviation_n: f64) -> Explained {
+pub fn verification_failed(measured_n: f64, expected_n: f64, deviation_n: f64) -> Explained {
     Explained::new(
         "verification-failed",
         format!(
-            "the sensor measures {mean_n:.4} N where {expected_n:.4} N hang on it: {:.1} times the predicted standard \
+            "the sensor measures {measured_n:.4} N where {expected_n:.4} N hang on it: {:.1} times the predicted standard \
              deviation",
-            (mean_n - expected_n).abs() / deviation_n
+            (measured_n - expected_n).abs() / deviation_n
         ),
         "Check the mass (all that hangs on the sensor) and that it hung at rest; if they are right, calibrate anew.",
     )

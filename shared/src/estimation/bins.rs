@@ -142,6 +142,12 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
         self.gate.expect(expectation);
     }
 
+    /// The variance of the channels' noise in the quietest tenth of the samples, counts², the mean over the channels; `None`
+    /// where there were too few, or the gate was off.
+    pub fn quietest_variance(&self) -> Option<f64> {
+        self.gate.quietest_variance()
+    }
+
     /// Samples so far whose load was of another magnitude than expected, however quiet they were.
     pub const fn off_magnitude(&self) -> u32 {
         self.gate.off_magnitude()
@@ -157,10 +163,11 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
         let (subspace, all) = found.as_ref().map_err(|refusal| *refusal)?;
         let mut classes = Cumulative::new();
         self.sum_up(subspace, &mut classes);
+        let runs = u64::from(self.gate.runs());
         let mut best: Option<(f64, usize)> = None;
         let mut refusal = Refusal::NonFinite;
         for (class, (sums, _)) in classes.iter().enumerate() {
-            match expected_error(subspace, all, sums, accepted) {
+            match expected_error(subspace, all, sums, runs, accepted) {
                 Err(cause) => refusal = cause,
                 Ok(error) => {
                     if best.is_none_or(|(least, _)| error < least) {
@@ -171,7 +178,7 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
         }
         let (sums, up_to) = best.and_then(|(_, class)| classes.get(class)).ok_or(refusal)?;
         // Once more: a solution is large, and the sensor has not the room to keep one while it makes the next.
-        Ok(QuietSolution { solution: solve_within(subspace, all, sums, accepted)?, up_to: *up_to })
+        Ok(QuietSolution { solution: solve_within(subspace, all, sums, runs, accepted)?, up_to: *up_to })
     }
 
     /// The subspace of all samples, and their mean.
@@ -210,9 +217,10 @@ fn expected_error<const GAGES: usize, const RANK: usize>(
     subspace: &Basis<GAGES, RANK>,
     all: &CodeMean<GAGES>,
     quiet: &MotionSums<RANK>,
+    runs: u64,
     accepted: f64,
 ) -> Result<f64, Refusal> {
-    let solution = solve_within(subspace, all, quiet, accepted)?;
+    let solution = solve_within(subspace, all, quiet, runs, accepted)?;
     Ok(libm::hypot(solution.uncertainty.worst_relative(), SHIFT_OVER_UNEXPLAINED * solution.unexplained))
 }
 

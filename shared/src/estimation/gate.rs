@@ -70,6 +70,9 @@ const LOW_TENTH: f32 = 0.6;
 /// Tighter loses rests, looser takes in the ends of turns; over 60 simulated hands the error is least between 1.8 and 2.2.
 const STILL: f32 = 2.2;
 
+/// Blocks after which the level of the noise has settled.
+const LEAST_BLOCKS: u32 = 100;
+
 /// Steps of the level that a tenth of all blocks stays below: ln 0.9 = −9·ln 1.0117.
 const NOISE_DOWN: f32 = 0.9;
 const NOISE_UP: f32 = 1.0117;
@@ -134,6 +137,9 @@ pub struct Gate<const GAGES: usize> {
     expectation: Option<Expectation<GAGES>>,
     /// Samples that were classed fast for the magnitude of their load alone.
     off_magnitude: u32,
+    /// Blocks that were classed, and how often the class has changed.
+    classed: u32,
+    changes: u32,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -211,7 +217,14 @@ impl<const GAGES: usize> Gate<GAGES> {
             rest_noise: RestNoise::new(),
             expectation: None,
             off_magnitude: 0,
+            classed: 0,
+            changes: 0,
         }
+    }
+
+    /// Into how many runs of one class the samples so far fall.
+    pub const fn runs(&self) -> u32 {
+        self.changes.saturating_add(1)
     }
 
     /// Has every further sample compared with this.
@@ -222,6 +235,13 @@ impl<const GAGES: usize> Gate<GAGES> {
     /// Samples so far that were classed fast for the magnitude of their load alone.
     pub const fn off_magnitude(&self) -> u32 {
         self.off_magnitude
+    }
+
+    /// The variance of the channels' noise in the quietest tenth of the blocks, counts², the mean over the channels: of a load that
+    /// moves smoothly, too, since it is taken from second differences. `None` before there are enough blocks to tell.
+    pub fn quietest_variance(&self) -> Option<f64> {
+        let level = LOW_TENTH * CURVATURE_OF_NOISE * GAGES as f32;
+        (self.classed >= LEAST_BLOCKS).then(|| f64::from(self.noise / level))
     }
 
     /// What the rests so far tell of the noise of the channels.
@@ -299,7 +319,12 @@ impl<const GAGES: usize> Gate<GAGES> {
 
     /// Classes block `number` and hands out its samples.
     fn release(&mut self, number: u32, newest: u32, take: &mut impl FnMut(Quietness, &[AdcCode; GAGES])) {
-        self.latest = self.class(number, newest);
+        let class = self.class(number, newest);
+        self.classed = self.classed.saturating_add(1);
+        if class != self.latest {
+            self.changes = self.changes.saturating_add(1);
+        }
+        self.latest = class;
         let place = number as usize % WINDOW;
         if self.latest == Quietness::Still {
             self.rest_noise.take(&self.blocks[place].codes);

@@ -16,6 +16,12 @@ use super::rest_noise::ChannelNoise;
 use super::uncertainty::{Regressors, TrialUncertainty, predict};
 use crate::refusal::Refusal;
 
+/// Standard deviations of the unexplained variance that are chance.
+const LARGEST_CHANCE: f64 = 4.0;
+
+/// Samples that a disturbance lasts at most: as many as a second has at the usual rates.
+const LONGEST_DISTURBANCE: f64 = 1000.0;
+
 /// What one trial tells: the sensor's shape for a load at that trial's moment arm, in an arbitrary orientation.
 #[derive(Clone, Debug)]
 pub struct TrialSolution<const GAGES: usize, const RANK: usize> {
@@ -64,7 +70,8 @@ pub fn solve_trial<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
     let noise = ChannelNoise::unknown(1);
     let subspace = basis::<GAGES, RANK>(&moments.codes().covariance(), moments.count(), &noise)?;
     let quiet = project(moments, &subspace.projection);
-    solve_within(&subspace, &moments.codes().mean(), &quiet, LARGEST_RELATIVE_UNCERTAINTY)
+    let runs = moments.count();
+    solve_within(&subspace, &moments.codes().mean(), &quiet, runs, LARGEST_RELATIVE_UNCERTAINTY)
 }
 
 /// A trial of an unknown rank, or of too few samples, is refused.
@@ -76,7 +83,8 @@ pub(crate) const fn require_samples<const RANK: usize>(samples: u64) -> Result<(
 }
 
 /// Solves one trial within the subspace that `all` of its samples, of which this is the mean, have given; the metric
-/// constraint is taken from the `quiet` ones among them, as projected onto that subspace. For `accepted` see [`metric`].
+/// constraint is taken from the `quiet` ones among them, as projected onto that subspace. What disturbs the load's magnitude is
+/// taken to be another in each of so many `runs` of samples. For `accepted` see [`metric`].
 ///
 /// # Errors
 ///
@@ -87,6 +95,7 @@ pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
     subspace: &Basis<GAGES, RANK>,
     all: &CodeMean<GAGES>,
     quiet: &MotionSums<RANK>,
+    runs: u64,
     accepted: f64,
 ) -> Result<TrialSolution<GAGES, RANK>, Refusal> {
     let samples = quiet.samples();
@@ -129,6 +138,7 @@ pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
     };
     let unexplained =
         if noise_shift.is_some() { metric.unexplained.max(LEAST_UNEXPLAINED) } else { metric.unexplained };
+    let unexplained = unexplained + lasting(unexplained, &load_noise, samples, runs);
     let mut uncertainty = predict(&directions, &regressors, &load_noise, noise, unexplained, samples)?;
     if let Some(NoiseShift { metric, centre }) = noise_shift {
         uncertainty.add_shift(&(orientation * metric * orientation.transpose()), &(orientation * centre));
@@ -155,6 +165,25 @@ pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
         directions,
         uncertainty,
     })
+}
+
+/// What is to be added to the variance of |m|² per sample for disturbances of the magnitude that last, so that it may be divided by
+/// the number of samples like noise: a hand leans on the load, or the load swings, for much longer than a sample.
+///
+/// Only what is more than chance counts: of n samples with the variance v̄ from noise and u beyond it, u itself is known to
+/// √(2/n)·(v̄ + u).
+fn lasting<const RANK: usize>(
+    unexplained: f64,
+    load_noise: &SMatrix<f64, RANK, RANK>,
+    samples: u64,
+    runs: u64,
+) -> f64 {
+    let samples = samples.max(1) as f64;
+    let of_noise = 4.0 * load_noise.trace() / RANK as f64 + 2.0 * load_noise.norm_squared();
+    let chance = libm::sqrt(2.0 / samples) * (of_noise + unexplained);
+    let beyond_chance = (unexplained - LARGEST_CHANCE * chance).max(0.0);
+    let longest = (samples / runs.max(1) as f64).min(LONGEST_DISTURBANCE);
+    beyond_chance * (longest - 1.0).max(0.0)
 }
 
 /// The metric constraint in whitened coordinates. Never inlined, nor is [`directions`]: moments up to degree four are large, and the

@@ -63,16 +63,24 @@ pub fn predict<const RANK: usize>(
     samples: u64,
 ) -> Result<TrialUncertainty<RANK>, Refusal> {
     let undetermined = Refusal::MotionDoesNotSpan { relative_uncertainty: f32::INFINITY, need: 1.0 };
-    let least_noise = symmetric_eigen(load_noise)?.values.min();
+    let eigenvalues = symmetric_eigen(load_noise)?.values;
+    let least_noise = eigenvalues.min();
     let constant = 4.0 * least_noise + 2.0 * load_noise.norm_squared() + unexplained;
 
     // Ψ, and ⟨φφᵀ v⟩ with the constant part of v exactly and the rest over the directions.
     let normal = normal_matrix(&directions.higher);
     let excess = *load_noise - SMatrix::identity() * least_noise;
-    let mut spread = spread_over_directions(directions, &(excess * 4.0));
-    spread += normal * constant;
-    let mut along = Cholesky::new(normal).ok_or(undetermined)?.inverse();
-    along = along * spread * along;
+    let inverse = Cholesky::new(normal).ok_or(undetermined)?.inverse();
+    let mut along = spread_over_directions(directions, &(excess * 4.0));
+    along += normal * constant;
+    along = inverse * along * inverse;
+    // Where the load has been in a small part of all directions, degree four is too coarse for the density, and the constraint
+    // all but blind where it then puts some of it. v is nowhere more than with the noise of the noisiest direction.
+    let most = constant + 4.0 * (eigenvalues.max() - least_noise);
+    let bounded = (0..UNKNOWNS).map(|k| along[(k, k)] / inverse[(k, k)]).fold(0.0, f64::max) <= most;
+    if !bounded {
+        along = inverse * most;
+    }
     for row in 0..UNKNOWNS {
         for column in 0..UNKNOWNS {
             along[(row, column)] *= half::<RANK>(row) * half::<RANK>(column) / samples.max(1) as f64;

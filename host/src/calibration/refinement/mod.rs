@@ -180,6 +180,7 @@ fn refined(recording: &Recording, start: &TrialShape) -> Result<Refinement, Kept
         taken: taken(recording.len(), &screened.samples),
         eigenvalues: screened.eigenvalues.unwrap_or_else(|| start.eigenvalues.clone()),
         noise_counts: Some(fit.noise_variance.sqrt()),
+        quietest_noise_counts: start.quietest_noise_counts,
         bias_counts: fit.bias,
         shape_counts_per_load: fit.shape,
         coverage: TrialCoverage {
