@@ -56,7 +56,7 @@ pub(crate) fn fusion(side_m: f64) -> Fusion {
     for seed in 0..REPETITIONS {
         let mut rng = random(FUSION_SEEDS + seed);
         let rig = Rig::new(side_m, &mut rng);
-        let precise = rig.trials(&mut rng, |rig, rng| rig.two_precise(rng));
+        let precise = rig.trials(&mut rng, Rig::two_precise);
         let roughly = rig.trials(&mut rng, |rig, rng| vec![rig.one_rough(rng)]);
         let answers = [
             staged::calibrate(DOF, STANDARD_GRAVITY, &precise),
