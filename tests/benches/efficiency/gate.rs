@@ -46,7 +46,7 @@ const DISTURBANCE: f64 = 0.02;
 
 /// Repetitions, and where their seeds begin.
 pub(crate) const REPETITIONS: u64 = 200;
-const TRIAL_SEEDS: u64 = 60_000;
+const TRIAL_SEEDS: u64 = 80_000;
 const SESSION_SEEDS: u64 = 70_000;
 
 /// RMS errors of S of one trial, relative.
