@@ -163,7 +163,7 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
         let (subspace, all) = found.as_ref().map_err(|refusal| *refusal)?;
         let mut classes = Cumulative::new();
         self.sum_up(subspace, &mut classes);
-        let runs = u64::from(self.gate.runs());
+        let runs = self.gate.runs().map_or(all.samples, u64::from);
         let mut best: Option<(f64, usize)> = None;
         let mut refusal = Refusal::NonFinite;
         for (class, (sums, _)) in classes.iter().enumerate() {

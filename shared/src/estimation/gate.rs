@@ -222,9 +222,9 @@ impl<const GAGES: usize> Gate<GAGES> {
         }
     }
 
-    /// Into how many runs of one class the samples so far fall.
-    pub const fn runs(&self) -> u32 {
-        self.changes.saturating_add(1)
+    /// Into how many runs of one class the samples so far fall; `None` where the gate has classed none.
+    pub fn runs(&self) -> Option<u32> {
+        (self.classed > 0).then(|| self.changes.saturating_add(1))
     }
 
     /// Has every further sample compared with this.

@@ -6,10 +6,10 @@
 //!   moving sample tells nothing of the metric, and what is left is a fifth of the samples. The Cramér–Rao bound with the
 //!   magnitude of every moving sample unknown, over that with all known, says by how much the error must grow; no gate and
 //!   no estimator does better.
-//! * **of a session**: the wrench error of a six-axis calibration from three such trials. With exact arms and masses the
-//!   trials' errors are all there is, and grow as above. A user's session has arms known to 0.2 mm and masses to 0.1 %, as the
-//!   session file assumes where nothing is said, and one rough direction an arm. The error of the wrenches that he will read is
-//!   what a calibration is for: it is the one that the requirement is put to.
+//! * **of a session**: the wrench error of a six-axis calibration from three such trials. With exact arms and masses, as in
+//!   design § 5, the trials' errors are all there is, and grow as above: this is the one that the requirement is put to. A user's
+//!   session has arms known to 0.2 mm and masses to 0.1 %, as the session file assumes where nothing is said, and one rough
+//!   direction an arm; there the disturbance hardly shows.
 
 use ftcal::calibration::calibrate;
 use ftcal::calibration::consistency::{ARM_ACCURACY_M, MASS_ACCURACY};
