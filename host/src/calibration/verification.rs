@@ -1,7 +1,7 @@
 //! The field check: does a calibrated sensor still measure a known mass, and are its gages sound (design § 8)?
 //!
 //! The samples at rest, or all where the load never rests, are taken together while the force stays where it is, at most
-//! [`LONGEST_STAY`] of them: f is their mean, which has little noise left to make |f| too large. The mean of |f| over all of these
+//! 64 of them: f is their mean, which has little noise left to make |f| too large. The mean of |f| over all of these
 //! stays is compared with m·g, and so is each stay by itself: a sensor may be too strong along one axis and too weak along another.
 //! What difference is to be expected is the root of the sum of the squares of
 //!
