@@ -99,7 +99,8 @@ pub fn recalibrate(
         let rough = ShapeDeviation::all(stored, trial_deviation(trials));
         (calibration, propagated.map_or(rough, |propagated| propagated.shape))
     } else {
-        let calibration = least_change(stored, gravity, trials, &scaled(&after, &lengths.map(f64::recip)))?;
+        let calibration =
+            least_change(stored, gravity, trials, &oriented, &scaled(&after, &lengths.map(f64::recip)))?;
         (
             Calibration { fusion_residual: misfit, ..calibration },
             ShapeDeviation::all(stored, trial_deviation(trials)),
@@ -214,14 +215,20 @@ fn oriented_rank(oriented: &[Oriented]) -> usize {
     oriented.first().map_or(0, |oriented| oriented.found.orientation.nrows())
 }
 
-/// The calibration of a shape of which the arms have seen a part. What the stored one promised still holds of the rest, and of
-/// the part seen no less does than the trials' own gains and masses: both are added, which is too much for either part.
+/// A drift acts on a wrench in several components at once, and half as much of it again hides in the turn.
+const HIDDEN: f64 = 2.0;
+
+/// The calibration of a shape of which the arms have seen a part. To what the stored one promised are added the trials' own gains and
+/// masses, which is too much for either part, and as much drift as the part seen shows: what is not seen may have moved
+/// by as much.
 fn least_change(
     stored: &Calibration,
     gravity: Gravity,
     trials: &[SolvedTrial],
+    oriented: &[Oriented],
     shape: &DMatrix<f64>,
 ) -> Result<Calibration, CalibrationRefusal> {
+    let drift = oriented.iter().map(|oriented| oriented.found.residual).fold(0.0, f64::max);
     let matrix = matrix_of_shape(shape).map_err(|_| CalibrationRefusal::ShapeRankDeficient)?;
     let added = trial_deviation(trials).hypot(gravity.relative_accuracy());
     let mean_square = |values: &mut dyn Iterator<Item = f64>, count: usize| {
@@ -234,11 +241,13 @@ fn least_change(
         let before_n = super::accuracy::full_load_n(stored).unwrap_or(full_n);
         let typical_n = full_n / (stored.dof.trial_rank() as f64).sqrt();
         Uncertainty {
-            matrix: uncertainty
-                .matrix
-                .zip_map(&matrix, |deviation, element| deviation.hypot(added * element)),
+            matrix: DMatrix::from_fn(matrix.nrows(), matrix.ncols(), |row, gage| {
+                let drifted = drift * matrix.row(row).norm();
+                uncertainty.matrix[(row, gage)].hypot(added * matrix[(row, gage)]).hypot(drifted)
+            }),
             per_axis_full_load: uncertainty.per_axis_full_load.zip_map(&lengths, |deviation, length| {
-                (deviation * full_n / before_n).hypot(added * typical_n * length)
+                let moved_n = added.hypot(HIDDEN * drift) * typical_n;
+                (deviation * full_n / before_n).hypot(moved_n * length)
             }),
             gravity_accuracy: Some(gravity.accuracy.max(uncertainty.gravity_accuracy.unwrap_or(0.0))),
         }

@@ -6,7 +6,8 @@
 //!
 //! * **Parity.** ‖e‖² has the mean σ² tr P / 4 and the variance 2σ⁴ tr P² / 16 with the covariance σ²P of what a sample leaves,
 //!   and is taken for the χ² that has both (Satterthwaite). Where it is more than chance would bring about once in 10⁶
-//!   blocks, the codes are no answer to a load at this arm: a glitch in a channel, or a hand on the sensor.
+//!   blocks, the codes are no answer to a load at this arm: a glitch in a channel, or a hand on the sensor. What the subspace
+//!   itself is uncertain by in directions in which the load has not been yet is added.
 //! * **Magnitude.** |m|² − 1 has the variance v(m) of [`super::uncertainty`], with the noise of a mean of four, and the solution's
 //!   own uncertainty besides.
 //!
@@ -134,7 +135,10 @@ fn largest_parity<const GAGES: usize, const RANK: usize>(solution: &TrialSolutio
     match solution.noise_variance {
         Some(variance) if GAGES > RANK => {
             let freedom = mean * mean / mean_square;
-            let limit = SAMPLES * variance * mean_square / mean * chi_square_limit(freedom);
+            // The subspace is a regression, and off by ⟨(m, 1) across (m, 1)⟩ in direction m: by twice the trace at most.
+            let of_subspace = 2.0 * SAMPLES * solution.uncertainty.across().trace() / variance;
+            let limit =
+                SAMPLES * variance * (1.0 + of_subspace) * mean_square / mean * chi_square_limit(freedom);
             #[expect(clippy::cast_possible_truncation, reason = "a limit needs three digits")]
             let limit = (PARITY_MARGIN * PARITY_MARGIN * limit) as f32;
             limit
