@@ -7,7 +7,8 @@
 //! **When it is used.** An R that is measured itself costs about p/N of the accuracy, N being the contrasts. It pays only where the
 //! channels differ, and whether they do is asked first: the likelihood ratio of "all channels are equally noisy and
 //! independent" against R is −N·ln(det R / (tr R/p)ᵖ), with Bartlett's correction distributed as χ² of p(p+1)/2 − 1 degrees of
-//! freedom (Mauchly 1940). What would come about by chance once in 10⁶ trials is no difference.
+//! freedom (Mauchly 1940). What would come about by chance once in 10⁶ trials is no difference, nor is one too small to gain
+//! anything by.
 //!
 //! **Rounding.** A load at rest gives the same code again and again where the noise is finer than a step of the converter, and yet
 //! the codes are off by up to half a step, each way of it equally likely over the motion: no channel has less than 1/12
@@ -28,6 +29,10 @@ const LEAST_CONTRASTS_PER_CHANNEL: u32 = 16;
 
 /// Variance of the rounding to whole codes, counts².
 pub const QUANTISATION_VARIANCE: f64 = 1.0 / 12.0;
+
+/// The least −ln det R that is worth while, R being relative to its mean: one channel of eight twice as noisy as the rest has 1.2. A
+/// load that swings a little in what passes for rests pretends less, and along the load.
+const LEAST_DIFFERENCE: f64 = 1.0;
 
 /// Variance of a contrast over that of a sample.
 const CONTRAST_VARIANCE: f64 = 4.0;
@@ -129,7 +134,8 @@ impl<const GAGES: usize> RestNoise<GAGES> {
         let channels = GAGES as f64;
         let correction = (2.0 * channels * channels + channels + 2.0) / (6.0 * channels);
         let ratio = -(f64::from(self.contrasts) - correction) * log_determinant;
-        ratio > chi_square_limit(channels * (channels + 1.0) / 2.0 - 1.0)
+        -log_determinant > LEAST_DIFFERENCE
+            && ratio > chi_square_limit(channels * (channels + 1.0) / 2.0 - 1.0)
     }
 }
 
