@@ -8,6 +8,7 @@
 //!
 //! | module | step |
 //! |---|---|
+//! | [`samples`] | what becomes of the samples of a recording |
 //! | [`trial`] | shape and bias of one trial, by the shared estimator |
 //! | [`covariance`] | how certain that is |
 //! | [`coverage`] | what a trial has covered, and which way to turn it next |
@@ -61,6 +62,7 @@ pub mod reference;
 pub mod refinement;
 pub mod refusal;
 pub mod rest;
+pub mod samples;
 pub mod singular;
 pub mod staged;
 pub mod trial;
@@ -84,8 +86,9 @@ use self::joint::uncertainty::{Premises, Propagated, Uncertainty, propagate};
 use self::known_load::LoadCase;
 use self::linearity::CheckRecord;
 use self::matrix::matrix_of_shape;
+use self::samples::SampleCounts;
 use self::singular::Singular;
-use self::trial::{SampleCounts, TrialShape};
+use self::trial::TrialShape;
 use self::turning::Turned;
 use crate::gravity::Gravity;
 

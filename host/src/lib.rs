@@ -4,6 +4,7 @@ pub mod calibration;
 pub mod calibration_file;
 pub mod cli;
 pub mod commands;
+pub mod component;
 pub mod demo;
 pub mod flash;
 pub mod gravity;

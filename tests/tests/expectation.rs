@@ -2,14 +2,15 @@
 
 use std::collections::BTreeMap;
 
-use ftcal::calibration::trial::{Gating, Rejection, TrialShape, solve};
+use ftcal::calibration::samples::Rejection;
+use ftcal::calibration::trial::{Gating, TrialShape, solve};
 use ftcal::recording::Recording;
 use ftcal_shared::units::AdcCode;
 use ftcal_tests::{KnownSensor, random};
 use nalgebra::{DMatrix, Vector3};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, StandardNormal, UnitSphere};
+use rand_distr::{Distribution, UnitSphere};
 
 const GAGES: usize = 8;
 type Codes = [AdcCode; GAGES];
@@ -31,15 +32,8 @@ fn codes(
 ) -> Vec<Codes> {
     let mut codes = Vec::with_capacity(DWELL * DIRECTIONS);
     for rest in 0..DIRECTIONS {
-        let direction: Vector3<f64> = Vector3::from(UnitSphere.sample(rng)) * magnitude(rest);
-        let exact = sensor.bias + sensor.shape.transpose() * direction;
-        for _ in 0..DWELL {
-            codes.push(core::array::from_fn(|gage| {
-                let standard: f64 = StandardNormal.sample(rng);
-                #[expect(clippy::cast_possible_truncation, reason = "rounded to whole counts")]
-                AdcCode::saturating((exact[gage] + NOISE * standard).round() as i64)
-            }));
-        }
+        let load: Vector3<f64> = Vector3::from(UnitSphere.sample(rng)) * magnitude(rest);
+        codes.extend((0..DWELL).map(|_| sensor.codes_at(&load, rng)));
     }
     codes
 }

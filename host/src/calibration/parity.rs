@@ -6,6 +6,7 @@
 //! or by its root mean square, since a wrong gain averages out over a load that turns. The shape itself is not known better
 //! than [`shape_deviation`], which counts as noise here, since it shows under load only.
 
+use ftcal_shared::estimation::rest_noise::QUANTISATION_VARIANCE;
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 
@@ -17,9 +18,6 @@ pub const LARGEST_PARITY: f64 = 5.0;
 
 /// The least share of a gage in the redundant directions with which its parity says anything of it.
 const LEAST_SHARE: f64 = 1e-6;
-
-/// Variance of the rounding to whole counts, counts².
-const QUANTISATION_VARIANCE: f64 = 1.0 / 12.0;
 
 /// Health of the gages.
 #[derive(Clone, Debug, PartialEq, Serialize)]

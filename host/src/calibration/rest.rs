@@ -1,11 +1,9 @@
-//! Which samples of a recording are measurements, and which of those were taken at rest: the sensor's own gate
-//! ([`ftcal_shared::estimation::gate`]), with a number of gages known at run time only.
+//! Which samples of a recording were taken at rest, with a number of gages known at run time only.
 
-use ftcal_shared::estimation::gate::{Gate, Quietness, Verdict};
-use ftcal_shared::units::AdcCode;
+use ftcal_shared::estimation::gate::Quietness;
 use nalgebra::DVector;
 
-use super::trial::{Rejection, SampleCounts};
+use super::samples::{Outcome, Rejection, SampleCounts, gated, rejected};
 use crate::recording::Recording;
 
 /// The fewest samples at rest that are worth leaving out all others for: about four blocks of the gate.
@@ -22,71 +20,42 @@ pub struct Rested {
 
 /// The samples at rest; where there are next to none, all that are measurements. `None` of no measurement.
 pub fn rested(recording: &Recording) -> Option<Rested> {
-    let verdicts = verdicts(recording);
+    let outcomes = outcomes(recording);
     let still = |outcome: &Outcome| *outcome == Outcome::Measured(Quietness::Still);
     let measured = |outcome: &Outcome| matches!(outcome, Outcome::Measured(_));
-    let at_rest = verdicts.iter().filter(|&outcome| still(outcome)).count();
+    let at_rest = outcomes.iter().filter(|&outcome| still(outcome)).count();
     let takes: &dyn Fn(&Outcome) -> bool = if at_rest >= LEAST_REST { &still } else { &measured };
     let counts: Vec<DVector<f64>> = recording
         .samples()
-        .zip(&verdicts)
+        .zip(&outcomes)
         .filter(|(_, outcome)| takes(outcome))
         .map(|((_, codes), _)| recording.counts(codes))
         .collect();
-    let rejected =
-        |cause: &dyn Fn(&Outcome) -> bool| verdicts.iter().filter(|&outcome| cause(outcome)).count() as u64;
+    let count = |cause| (cause, rejected(&outcomes, cause));
+    let moving = outcomes.iter().filter(|&outcome| measured(outcome) && !takes(outcome)).count() as u64;
     let samples = SampleCounts::new(
-        verdicts.len() as u64,
-        &[
-            (Rejection::Saturated, rejected(&|outcome| *outcome == Outcome::Rejected(Rejection::Saturated))),
-            (Rejection::Repeated, rejected(&|outcome| *outcome == Outcome::Rejected(Rejection::Repeated))),
-            (Rejection::Moving, rejected(&|outcome| measured(outcome) && !takes(outcome))),
-        ],
+        outcomes.len() as u64,
+        &[count(Rejection::Saturated), count(Rejection::Repeated), (Rejection::Moving, moving)],
     );
     (!counts.is_empty()).then_some(Rested { counts, samples })
 }
 
-/// What became of a sample.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Outcome {
-    Rejected(Rejection),
-    Measured(Quietness),
-}
-
-fn verdicts(recording: &Recording) -> Vec<Outcome> {
+/// What becomes of the samples of a recording of any number of gages.
+fn outcomes(recording: &Recording) -> Vec<Outcome> {
     match recording.gages() {
-        2 => of_gages::<2>(recording),
-        3 => of_gages::<3>(recording),
-        4 => of_gages::<4>(recording),
-        5 => of_gages::<5>(recording),
-        6 => of_gages::<6>(recording),
-        7 => of_gages::<7>(recording),
-        8 => of_gages::<8>(recording),
-        9 => of_gages::<9>(recording),
-        10 => of_gages::<10>(recording),
-        11 => of_gages::<11>(recording),
-        12 => of_gages::<12>(recording),
+        2 => gated::<2>(recording, None),
+        3 => gated::<3>(recording, None),
+        4 => gated::<4>(recording, None),
+        5 => gated::<5>(recording, None),
+        6 => gated::<6>(recording, None),
+        7 => gated::<7>(recording, None),
+        8 => gated::<8>(recording, None),
+        9 => gated::<9>(recording, None),
+        10 => gated::<10>(recording, None),
+        11 => gated::<11>(recording, None),
+        12 => gated::<12>(recording, None),
         _ => Vec::new(),
     }
-}
-
-fn of_gages<const GAGES: usize>(recording: &Recording) -> Vec<Outcome> {
-    let mut gate = Gate::<GAGES>::new();
-    // The gate classes what it accepts some samples later, in order.
-    let mut classes = Vec::with_capacity(recording.len());
-    let mut note = |class, _: &[AdcCode; GAGES]| classes.push(class);
-    let codes = recording.samples().filter_map(|(_, codes)| <&[AdcCode; GAGES]>::try_from(codes).ok());
-    let verdicts: Vec<Verdict> = codes.map(|codes| gate.offer(codes, &mut note)).collect();
-    gate.finish(&mut note);
-    let mut classes = classes.into_iter();
-    let outcome = |verdict| match verdict {
-        Verdict::Saturated => Outcome::Rejected(Rejection::Saturated),
-        Verdict::Repeated => Outcome::Rejected(Rejection::Repeated),
-        // Only of a gate that is told what to expect.
-        Verdict::Contradictory => Outcome::Rejected(Rejection::Parity),
-        Verdict::Accepted => Outcome::Measured(classes.next().unwrap_or(Quietness::Fast)),
-    };
-    verdicts.into_iter().map(outcome).collect()
 }
 
 #[cfg(test)]
@@ -95,8 +64,8 @@ mod tests {
     use nalgebra::DVector;
 
     use super::rested;
+    use crate::calibration::samples::Rejection;
     use crate::calibration::synthetic::{Sensor, flat};
-    use crate::calibration::trial::Rejection;
     use crate::recording::Recording;
     use crate::session_file::STANDARD_GRAVITY;
 

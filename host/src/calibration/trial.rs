@@ -6,21 +6,18 @@
 //! no measurements; samples during which the load moved too much are left out where that serves the answer. Where the answer does not
 //! expect some of the samples, it is found again without them. Gate and sums are the sensor's own code.
 
-use std::collections::BTreeMap;
-
 use clap::ValueEnum;
 use ftcal_shared::estimation::bins::{Bins, QuietSolution};
 use ftcal_shared::estimation::expectation::Expectation;
-use ftcal_shared::estimation::gate::{BLOCK, Gate, Quietness, Verdict};
+use ftcal_shared::estimation::gate::Quietness;
 use ftcal_shared::estimation::moments::higher_moment_count;
 use ftcal_shared::refusal::Refusal;
 use ftcal_shared::units::AdcCode;
-use ftcal_shared::wire::{Solution, TrialStatus};
 use nalgebra::{DMatrix, DVector};
-use serde::{Deserialize, Serialize};
 
 use super::covariance::TrialCovariance;
 use super::coverage::TrialCoverage;
+use super::samples::{Outcome, Rejection, SampleCounts, gated, rejected, ungated};
 use crate::recording::Recording;
 
 /// Whether restless samples may be left out.
@@ -39,81 +36,6 @@ pub enum Gating {
 /// How often a recording is gone through: each pass but the first compares the samples with what the one before found. It is
 /// settled when that changes nothing, after the second pass as a rule.
 const MOST_PASSES: usize = 4;
-
-/// Why a sample takes no part.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Rejection {
-    /// A channel stood at an end of the converter's range.
-    Saturated,
-    /// The load moved too much.
-    Moving,
-    /// The converter repeated itself.
-    Repeated,
-    /// The codes answer to no load at this arm.
-    Parity,
-    /// The load was of another magnitude.
-    Magnitude,
-    /// It came while the sensor worked on its sums.
-    Unattended,
-    /// Neither noise nor the load explains it: a glitch, a bump.
-    Outlier,
-}
-
-impl Rejection {
-    /// What was wrong with the samples.
-    pub const fn in_words(self) -> &'static str {
-        match self {
-            Self::Saturated => "saturated",
-            Self::Moving => "moving too much",
-            Self::Repeated => "repeated by the converter",
-            Self::Parity => "with gages that contradict each other",
-            Self::Magnitude => "with a load of another magnitude",
-            Self::Unattended => "missed while the sensor worked on its sums",
-            Self::Outlier => "that neither noise nor the load explains",
-        }
-    }
-}
-
-/// How many samples took part.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct SampleCounts {
-    /// Samples recorded.
-    pub total: u64,
-    /// Samples used.
-    pub used: u64,
-    /// Samples not used, by cause.
-    pub rejected: BTreeMap<Rejection, u64>,
-}
-
-impl SampleCounts {
-    /// The counts of so many samples, of which some were rejected for these causes.
-    pub fn new(total: u64, rejected: &[(Rejection, u64)]) -> Self {
-        let used = total.saturating_sub(rejected.iter().map(|(_, count)| count).sum());
-        Self { total, used, rejected: rejected.iter().copied().filter(|(_, count)| *count > 0).collect() }
-    }
-
-    /// The counts of a trial that the sensor has solved.
-    pub fn on_the_sensor(trial: &TrialStatus, solution: &Solution) -> Self {
-        let total = u64::from(trial.offered);
-        let [saturated, repeated, contradictory, magnitude, unattended] =
-            [trial.saturated, trial.repeated, trial.contradictory, trial.off_magnitude, trial.unattended]
-                .map(u64::from);
-        let others = saturated + repeated + contradictory + magnitude + unattended;
-        Self::new(
-            total,
-            &[
-                (Rejection::Saturated, saturated),
-                (Rejection::Moving, total.saturating_sub(others + u64::from(solution.samples))),
-                (Rejection::Repeated, repeated),
-                (Rejection::Parity, contradictory),
-                (Rejection::Magnitude, magnitude),
-                (Rejection::Unattended, unattended),
-            ],
-        )
-    }
-}
 
 /// Shape and bias of one trial, in counts and per unit load, its orientation arbitrary (eq. 11).
 #[derive(Clone, Debug, PartialEq)]
@@ -194,125 +116,97 @@ fn solve_gages<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
     recording: &Recording,
     gating: Gating,
 ) -> Result<TrialShape, Refusal> {
-    let mut expectation = None;
-    let mut pass = pass::<GAGES, HIGHER, RANK>(recording, gating, None)?;
+    let mut pass =
+        Pass::<GAGES, RANK>::new::<HIGHER>(recording, gating, None, first_look::<GAGES>(recording, gating))?;
     for _ in 1..MOST_PASSES {
-        let expected = Expectation::new(&pass.quiet.solution)?;
-        let Some(next) = expected.filter(|expected| gating == Gating::On && surprises(recording, expected))
-        else {
+        let Some(expected) = Expectation::new(&pass.quiet.solution)?.filter(|_| gating == Gating::On) else {
             break;
         };
-        let again = self::pass::<GAGES, HIGHER, RANK>(recording, gating, Some(&next))?;
-        let settled = again.off_magnitude == pass.off_magnitude && again.verdicts == pass.verdicts;
-        (pass, expectation) = (again, Some(next));
-        if settled {
+        let outcomes = gated(recording, Some(&expected));
+        if outcomes == pass.outcomes {
             break;
         }
+        pass = Pass::new::<HIGHER>(recording, gating, Some(expected), outcomes)?;
     }
-    let taken = pass.taken(recording, gating, expectation);
-    in_counts(&pass, recording, taken)
+    in_counts(&pass, recording)
 }
 
-/// Whether any sample is not what is expected.
-fn surprises<const GAGES: usize>(recording: &Recording, expected: &Expectation<GAGES>) -> bool {
-    let mut gate = Gate::<GAGES>::new();
-    gate.expect(Some(expected.clone()));
-    let mut samples = recording.samples().filter_map(|(_, codes)| <&[AdcCode; GAGES]>::try_from(codes).ok());
-    samples
-        .any(|codes| gate.offer(codes, &mut |_, _| ()) == Verdict::Contradictory || gate.off_magnitude() > 0)
+/// What becomes of the samples before there is an answer to compare them with.
+fn first_look<const GAGES: usize>(recording: &Recording, gating: Gating) -> Vec<Outcome> {
+    match gating {
+        Gating::On | Gating::Once => gated::<GAGES>(recording, None),
+        Gating::Off => ungated(recording),
+    }
 }
 
 /// All samples of a recording, taken once.
 struct Pass<const GAGES: usize, const RANK: usize> {
-    verdicts: Vec<Verdict>,
+    outcomes: Vec<Outcome>,
     off_magnitude: u32,
     quietest_variance: Option<f64>,
     quiet: QuietSolution<GAGES, RANK>,
 }
 
-fn pass<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
-    recording: &Recording,
-    gating: Gating,
-    expectation: Option<&Expectation<GAGES>>,
-) -> Result<Pass<GAGES, RANK>, Refusal> {
-    let mut bins = Box::new(Bins::<GAGES, HIGHER>::new());
-    bins.expect(expectation.cloned());
-    let mut verdicts = Vec::with_capacity(recording.len());
-    for (_, codes) in recording.samples() {
-        let codes = <&[AdcCode; GAGES]>::try_from(codes).map_err(|_| unsupported(codes.len(), RANK))?;
-        let verdict = match gating {
-            Gating::On | Gating::Once => bins.offer(codes),
-            Gating::Off => bins.offer_ungated(codes),
-        }?;
-        verdicts.push(verdict);
-        if verdict == Verdict::Contradictory {
-            // Its block goes with it.
-            let earlier = verdicts.iter_mut().rev().filter(|verdict| **verdict == Verdict::Accepted);
-            earlier.take(BLOCK - 1).for_each(|verdict| *verdict = Verdict::Contradictory);
-        }
-    }
-    bins.finish();
-    let quiet = bins.solve::<RANK>().map_err(|refusal| match refusal {
-        Refusal::TooFewSamples { .. } if verdicts.contains(&Verdict::Saturated) => {
-            Refusal::Saturated { samples: count(&verdicts, Verdict::Saturated) }
-        }
-        other => other,
-    })?;
-    Ok(Pass {
-        verdicts,
-        off_magnitude: bins.off_magnitude(),
-        quietest_variance: bins.quietest_variance().filter(|_| gating != Gating::Off),
-        quiet,
-    })
-}
-
 impl<const GAGES: usize, const RANK: usize> Pass<GAGES, RANK> {
-    fn counts(&self) -> SampleCounts {
-        let left_out = count(&self.verdicts, Verdict::Accepted).saturating_sub(self.quiet.solution.samples);
-        let magnitude = if self.quiet.up_to < Quietness::Fast { u64::from(self.off_magnitude) } else { 0 };
-        let rejected = [
-            (Rejection::Saturated, count(&self.verdicts, Verdict::Saturated)),
-            (Rejection::Moving, left_out.saturating_sub(magnitude)),
-            (Rejection::Repeated, count(&self.verdicts, Verdict::Repeated)),
-            (Rejection::Parity, count(&self.verdicts, Verdict::Contradictory)),
-            (Rejection::Magnitude, magnitude),
-        ];
-        SampleCounts::new(self.verdicts.len() as u64, &rejected)
-    }
-
-    /// Which samples took part: the gate tells their classes once more, in the order of the accepted ones.
-    fn taken(
-        &self,
+    /// Sums the samples up, which have these outcomes, and solves.
+    fn new<const HIGHER: usize>(
         recording: &Recording,
         gating: Gating,
         expectation: Option<Expectation<GAGES>>,
-    ) -> Vec<bool> {
-        let accepted = self.verdicts.iter().map(|&verdict| verdict == Verdict::Accepted);
-        if gating == Gating::Off {
-            return accepted.collect();
+        outcomes: Vec<Outcome>,
+    ) -> Result<Self, Refusal> {
+        let mut bins = Box::new(Bins::<GAGES, HIGHER>::new());
+        bins.expect(expectation);
+        for (_, codes) in recording.samples() {
+            let codes = <&[AdcCode; GAGES]>::try_from(codes).map_err(|_| unsupported(codes.len(), RANK))?;
+            match gating {
+                Gating::On | Gating::Once => bins.offer(codes),
+                Gating::Off => bins.offer_ungated(codes),
+            }?;
         }
-        let mut gate = Gate::<GAGES>::new();
-        gate.expect(expectation);
-        let mut quiet = Vec::with_capacity(self.verdicts.len());
-        let mut note = |quietness, _: &[AdcCode; GAGES]| quiet.push(quietness <= self.quiet.up_to);
-        for codes in recording.samples().filter_map(|(_, codes)| codes.try_into().ok()) {
-            gate.offer(codes, &mut note);
-        }
-        gate.finish(&mut note);
-        let mut quiet = quiet.into_iter();
-        accepted.map(|accepted| accepted && quiet.next().unwrap_or(false)).collect()
+        bins.finish();
+        let quiet = bins.solve::<RANK>().map_err(|refusal| {
+            match (refusal, rejected(&outcomes, Rejection::Saturated)) {
+                (Refusal::TooFewSamples { .. }, samples @ 1..) => Refusal::Saturated { samples },
+                (other, _) => other,
+            }
+        })?;
+        Ok(Self {
+            outcomes,
+            off_magnitude: bins.off_magnitude(),
+            quietest_variance: bins.quietest_variance().filter(|_| gating != Gating::Off),
+            quiet,
+        })
     }
-}
 
-fn count(verdicts: &[Verdict], cause: Verdict) -> u64 {
-    verdicts.iter().filter(|&&verdict| verdict == cause).count() as u64
+    fn counts(&self) -> SampleCounts {
+        let count = |cause| (cause, rejected(&self.outcomes, cause));
+        let measured = self.outcomes.iter().filter(|outcome| matches!(outcome, Outcome::Measured(_))).count();
+        let left_out = (measured as u64).saturating_sub(self.quiet.solution.samples);
+        let magnitude = if self.quiet.up_to < Quietness::Fast { u64::from(self.off_magnitude) } else { 0 };
+        SampleCounts::new(
+            self.outcomes.len() as u64,
+            &[
+                count(Rejection::Saturated),
+                (Rejection::Moving, left_out.saturating_sub(magnitude)),
+                count(Rejection::Repeated),
+                count(Rejection::Parity),
+                (Rejection::Magnitude, magnitude),
+            ],
+        )
+    }
+
+    /// Which samples took part.
+    fn taken(&self) -> Vec<bool> {
+        let takes = |outcome: &Outcome| matches!(outcome, Outcome::Measured(quietness) if *quietness <= self.quiet.up_to);
+        self.outcomes.iter().map(takes).collect()
+    }
 }
 
 /// The solution in the counts of the recording.
 fn in_counts<const GAGES: usize, const RANK: usize>(
     pass: &Pass<GAGES, RANK>,
     recording: &Recording,
-    taken: Vec<bool>,
 ) -> Result<TrialShape, Refusal> {
     let solution = &pass.quiet.solution;
     let quantisation = recording.quantisation();
@@ -321,7 +215,7 @@ fn in_counts<const GAGES: usize, const RANK: usize>(
     let shape_codes = DMatrix::from_column_slice(RANK, GAGES, solution.shape_counts_per_load.as_slice());
     let shape = TrialShape {
         samples: pass.counts(),
-        taken,
+        taken: pass.taken(),
         eigenvalues: DVector::from_column_slice(solution.eigenvalues.as_slice()) * (step * step),
         quietest_noise_counts: pass.quietest_variance.map(|variance| variance.max(0.0).sqrt() * step),
         noise_counts: solution.noise_variance.map(|variance| variance.max(0.0).sqrt() * step),
@@ -350,7 +244,8 @@ mod tests {
     use ftcal_shared::units::{AdcCode, Dof};
     use nalgebra::DVector;
 
-    use super::{Gating, Rejection, SampleCounts, solve};
+    use super::{Gating, solve};
+    use crate::calibration::samples::{Rejection, SampleCounts};
     use crate::calibration::synthetic::{Sensor, sphere, turn};
     use crate::recording::Recording;
 

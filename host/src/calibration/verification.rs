@@ -23,7 +23,7 @@ use super::consistency::MASS_ACCURACY;
 use super::motion::magnitude;
 use super::parity::{Parity, noise_counts, parity, shape_deviation};
 use super::rest::{Rested, rested};
-use super::trial::SampleCounts;
+use super::samples::SampleCounts;
 use crate::gravity::Gravity;
 use crate::recording::Recording;
 
@@ -221,6 +221,12 @@ mod tests {
         (sensor, calibration)
     }
 
+    /// The gages of which parity can tell: two redundant directions see of some next to nothing.
+    fn gages_seen(calibration: &Calibration) -> Vec<usize> {
+        let seen = |gage: usize| 1.0 - calibration.matrix.column(gage).dot(&calibration.shape.column(gage));
+        (0..calibration.gages()).filter(|&gage| seen(gage) >= 0.2).collect()
+    }
+
     fn check(sensor: &mut Sensor, calibration: &Calibration, hung_kg: f64, claimed_kg: f64) -> Verification {
         let recording = sensor.record(hung_kg, &[0.02, -0.01, 0.08], &sphere(200));
         verify(calibration, &recording, KnownMass { mass_kg: claimed_kg, accuracy_kg: None, elsewhere: None })
@@ -246,12 +252,7 @@ mod tests {
     fn a_gage_that_has_moved_is_named() {
         for seed in 0..8 {
             let (mut sensor, calibration) = wrist(seed);
-            for gage in 0..8 {
-                // Two redundant directions see of some gages next to nothing; of those nobody can tell.
-                let seen = 1.0 - calibration.matrix.column(gage).dot(&calibration.shape.column(gage));
-                if seen < 0.2 {
-                    continue;
-                }
+            for gage in gages_seen(&calibration) {
                 let healthy = sensor.bias_counts[gage];
                 sensor.bias_counts[gage] += 2e5;
                 let parity = check(&mut sensor, &calibration, 1.0, 1.0).parity.expect("eight gages for six");
@@ -266,11 +267,7 @@ mod tests {
     fn a_gage_whose_gain_has_changed_is_named_though_the_load_turns() {
         for seed in 0..8 {
             let (mut sensor, calibration) = wrist(seed);
-            for gage in 0..8 {
-                let seen = 1.0 - calibration.matrix.column(gage).dot(&calibration.shape.column(gage));
-                if seen < 0.2 {
-                    continue;
-                }
+            for gage in gages_seen(&calibration) {
                 let healthy = sensor.shape.clone();
                 sensor.shape.column_mut(gage).scale_mut(1.3);
                 let parity = check(&mut sensor, &calibration, 1.0, 1.0).parity.expect("eight gages for six");

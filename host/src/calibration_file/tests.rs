@@ -8,7 +8,7 @@ use crate::calibration::drift::Drift;
 use crate::calibration::joint::uncertainty::Uncertainty;
 use crate::calibration::linearity::{CheckRecord, CheckVerdict};
 use crate::calibration::matrix::matrix_of_shape;
-use crate::calibration::trial::{Rejection, SampleCounts};
+use crate::calibration::samples::{Rejection, SampleCounts};
 use crate::calibration::{
     BiasOrigin, Calibration, Handedness, HandednessEvidence, Method, SolutionRecord, TrialRecord,
 };

@@ -4,7 +4,7 @@ use std::io::{self, Write};
 use std::path::PathBuf;
 
 use clap::Args;
-use ftcal_shared::units::{Axis, Dof};
+use ftcal_shared::units::Dof;
 
 use super::output::Output;
 use super::{Failure, Streams};
@@ -16,6 +16,7 @@ use crate::calibration::refinement::Refining;
 use crate::calibration::trial::Gating;
 use crate::calibration::{BiasOrigin, Calibration, Method};
 use crate::calibration_file;
+use crate::component::{symbol, unit};
 use crate::recording::shown;
 use crate::remedy;
 use crate::session_file::Session;
@@ -143,7 +144,7 @@ pub fn summarise(calibration: &Calibration, out: &mut dyn Write) -> io::Result<(
     writeln!(out, "handedness proven; fusion residual {:.3} %", 100.0 * calibration.fusion_residual)?;
     if let Some(uncertainty) = &calibration.uncertainty {
         let axes = calibration.dof.axes().iter().zip(&uncertainty.per_axis_full_load);
-        let each = axes.map(|(axis, deviation)| format!("{} {deviation:.2e} {}", name(*axis), unit(*axis)));
+        let each = axes.map(|(axis, deviation)| format!("{} {deviation:.2e} {}", symbol(*axis), unit(*axis)));
         let each = each.collect::<Vec<_>>().join(", ");
         writeln!(out, "uncertainty at full load (one standard deviation): {each}")?;
         if let Some(accuracy) = uncertainty.gravity_accuracy.filter(|_| share_of_gravity(calibration) > MOST)
@@ -224,7 +225,7 @@ fn summarise_drift(calibration: &Calibration, drift: &Drift, out: &mut dyn Write
         line(out, &format!("ch{gage}"), moved)?;
     }
     for (axis, moved) in calibration.dof.axes().iter().zip(drift.axes()) {
-        line(out, name(*axis), moved)?;
+        line(out, symbol(*axis), moved)?;
     }
     if !drift.gages().chain(drift.axes()).any(Moved::is_real) {
         writeln!(out, "nothing that the arms see has moved by more than three times its uncertainty")?;
@@ -253,24 +254,5 @@ const fn dof_name(dof: Dof) -> &'static str {
         Dof::SpatialForce => "spatial-force",
         Dof::PlanarForceTorque => "planar-force-torque",
         Dof::SpatialForceTorque => "spatial-force-torque",
-    }
-}
-
-/// The name of a component in words.
-const fn name(axis: Axis) -> &'static str {
-    match axis {
-        Axis::ForceX => "fx",
-        Axis::ForceY => "fy",
-        Axis::ForceZ => "fz",
-        Axis::TorqueX => "tx",
-        Axis::TorqueY => "ty",
-        Axis::TorqueZ => "tz",
-    }
-}
-
-const fn unit(axis: Axis) -> &'static str {
-    match axis {
-        Axis::ForceX | Axis::ForceY | Axis::ForceZ => "N",
-        Axis::TorqueX | Axis::TorqueY | Axis::TorqueZ => "N m",
     }
 }

@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::device::DeviceArgs;
 use super::{Failure, Streams, print_json, solve};
 use crate::calibration::coverage::TrialCoverage;
-use crate::calibration::trial::SampleCounts;
+use crate::calibration::samples::SampleCounts;
 use crate::link::client::Client;
 use crate::link::error::ClientError;
 use crate::link::transport::Transport;

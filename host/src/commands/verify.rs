@@ -7,7 +7,7 @@ use clap::Args;
 use ftcal_shared::refusal::Refusal;
 
 use super::{Failure, Streams, apply, print_json};
-use crate::calibration::trial::Rejection;
+use crate::calibration::samples::Rejection;
 use crate::calibration::verification::{KnownMass, LARGEST_DIFFERENCE, Verification, verify};
 use crate::gravity::{Gravity, POSSIBLE};
 use crate::remedy::{self, Explained};

@@ -2,13 +2,14 @@
 
 use std::io::{self, Write};
 
-use ftcal_shared::units::{Axis, Dof};
+use ftcal_shared::units::Dof;
 use nalgebra::{DMatrix, DVector};
 
 use super::reference::KNOWN_LOADS;
 use super::trials::GRAVITY;
 use super::validation::{MeasuredLoad, Orientation};
 use crate::calibration::Calibration;
+use crate::component::{is_force, symbol, unit};
 use crate::simulator::scenario::Scenario;
 
 /// What the sensor measures, in words.
@@ -18,18 +19,6 @@ pub const fn in_words(dof: Dof) -> &'static str {
         Dof::SpatialForce => "three forces",
         Dof::PlanarForceTorque => "two forces and the torque in a plane",
         Dof::SpatialForceTorque => "three forces and three torques",
-    }
-}
-
-/// The usual symbol of a component.
-pub const fn symbol(axis: Axis) -> &'static str {
-    match axis {
-        Axis::ForceX => "fx",
-        Axis::ForceY => "fy",
-        Axis::ForceZ => "fz",
-        Axis::TorqueX => "tx",
-        Axis::TorqueY => "ty",
-        Axis::TorqueZ => "tz",
     }
 }
 
@@ -193,12 +182,4 @@ fn mean_and_std(values: &[f64]) -> (f64, f64) {
     let mean = values.iter().sum::<f64>() / count;
     let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / count;
     (mean, variance.sqrt())
-}
-
-const fn is_force(axis: Axis) -> bool {
-    matches!(axis, Axis::ForceX | Axis::ForceY | Axis::ForceZ)
-}
-
-const fn unit(axis: Axis) -> &'static str {
-    if is_force(axis) { "N" } else { "N m" }
 }

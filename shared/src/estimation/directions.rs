@@ -6,7 +6,7 @@
 //! parts beyond degree four are taken as zero; moments of degree six are then sums over a quadrature that is exact for
 //! degree ten.
 
-use nalgebra::{SMatrix, SVector};
+use nalgebra::SVector;
 
 use super::motion_moments::MotionMoments;
 
@@ -33,11 +33,6 @@ impl<const RANK: usize> DirectionMoments<RANK> {
     /// From central moments and the mean.
     pub fn new(mean: SVector<f64, RANK>, central: &MotionMoments<RANK>) -> Self {
         Self { higher: central.about_zero(&mean), first: mean }
-    }
-
-    /// ⟨mmᵀ⟩.
-    pub fn second(&self) -> SMatrix<f64, RANK, RANK> {
-        SMatrix::from_fn(|a, b| self.higher.second[a][b])
     }
 
     /// The density of m on the unit sphere or circle.

@@ -42,14 +42,19 @@
 //! and a trial is what it would be with no gate.
 
 use super::expectation::{Expectation, Meets};
-use super::rest_noise::{ChannelNoise, RestNoise};
+use super::rest_noise::{ChannelNoise, QUANTISATION_VARIANCE, RestNoise};
 use crate::units::AdcCode;
 
 /// Samples in a block.
 pub const BLOCK: usize = 4;
 
 /// The same, as samples are counted.
-const BLOCK_SAMPLES: u32 = 4;
+#[expect(clippy::cast_possible_truncation, reason = "four")]
+const BLOCK_SAMPLES: u32 = BLOCK as u32;
+
+/// Variance of the rounding to steps of the codes, in steps².
+#[expect(clippy::cast_possible_truncation, reason = "a level needs three digits")]
+const ROUNDING: f32 = QUANTISATION_VARIANCE as f32;
 
 /// Blocks to each side of a block by which it is classed.
 const REACH: u32 = 3;
@@ -372,7 +377,7 @@ impl<const GAGES: usize> Gate<GAGES> {
         let curvature = [number.saturating_sub(1), number, (number + 1).min(newest)]
             .map(|number| self.block(number).curvature);
         self.follow_noise(curvature.iter().sum());
-        let noise = self.noise.max(self.noise_level(1.0 / 12.0));
+        let noise = self.noise.max(self.noise_level(ROUNDING));
         let seen_whole = last - first == 2 * REACH;
         if seen_whole && change + travel <= STILL * noise && unrest <= 2.0 * STILL * noise {
             Quietness::Still
@@ -390,7 +395,7 @@ impl<const GAGES: usize> Gate<GAGES> {
             return;
         }
         self.noise *= if curvature < self.noise { NOISE_DOWN } else { NOISE_UP };
-        self.noise = self.noise.max(self.noise_level(1.0 / 12.0));
+        self.noise = self.noise.max(self.noise_level(ROUNDING));
     }
 
     fn is_calmer_half(&mut self, change: f32) -> bool {

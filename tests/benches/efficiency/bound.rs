@@ -10,11 +10,9 @@
 //! Turning S and all directions together changes nothing, so r(r − 1)/2 eigenvalues are zero; the bound of the rest is the
 //! pseudo-inverse without them.
 
+use ftcal_shared::estimation::rest_noise::QUANTISATION_VARIANCE;
 use ftcal_tests::KnownSensor;
 use nalgebra::{DMatrix, DVector, SMatrix, SVector};
-
-/// Variance of the rounding to whole codes, counts².
-const QUANTISATION_VARIANCE: f64 = 1.0 / 12.0;
 
 /// Sums up what samples say, one by one.
 #[derive(Clone, Debug)]

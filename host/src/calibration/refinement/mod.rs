@@ -61,7 +61,8 @@ use self::outliers::{Screened, screen};
 use self::weight::Weight;
 use super::coverage::TrialCoverage;
 use super::matrix::matrix_of_shape;
-use super::trial::{Rejection, SampleCounts, TrialShape};
+use super::samples::{Rejection, SampleCounts};
+use super::trial::TrialShape;
 use crate::recording::Recording;
 
 /// A direction of the load; at rank 2 the third component is zero.

@@ -7,8 +7,9 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::{Kept, Outcome, Refinement, refine};
+use crate::calibration::samples::Rejection;
 use crate::calibration::singular::Singular;
-use crate::calibration::trial::{Gating, Rejection, TrialShape, solve};
+use crate::calibration::trial::{Gating, TrialShape, solve};
 use crate::recording::Recording;
 
 /// RMS signal of a gage, counts.
