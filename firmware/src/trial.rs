@@ -306,7 +306,9 @@ fn on_the_wire<const GAGES: usize, const RANK: usize>(
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "a report of seven digits")]
-fn coverage_on_the_wire<const RANK: usize>(covered: &coverage::Coverage<RANK>) -> Coverage {
+fn coverage_on_the_wire<const GAGES: usize, const RANK: usize>(
+    covered: &coverage::Coverage<GAGES, RANK>,
+) -> Coverage {
     let target = |target: &coverage::GageTarget| GageTarget {
         gage: target.gage,
         counts: target.counts as f32,
@@ -317,5 +319,11 @@ fn coverage_on_the_wire<const RANK: usize>(covered: &coverage::Coverage<RANK>) -
         fraction: covered.fraction as f32,
         worst_relative_uncertainty: covered.worst_relative_uncertainty as f32,
         targets: covered.targets.iter().map(target).collect(),
+        bias_deviation_counts: covered.bias_deviation_counts.iter().map(|&counts| counts as f32).collect(),
+        shape_deviation_counts_per_load: covered
+            .shape_deviation_counts_per_load
+            .row_iter()
+            .flat_map(|row| row.iter().map(|&counts| counts as f32).collect::<GageList<f32>>())
+            .collect(),
     }
 }

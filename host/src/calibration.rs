@@ -29,6 +29,7 @@
 //! | [`linearity`] | whether the sensor is linear, at one load and from one to another |
 //! | [`accuracy`] | what a calibration promises of the loads it measures |
 //! | [`verification`], [`parity`] | the check of a calibration in the field: its magnitude, its gages |
+//! | [`wrench_uncertainty`] | how certain any one wrench is |
 //! | [`rest`] | which samples of a recording are at rest |
 //! | [`matrix`] | calibration matrix of a shape |
 //! | [`singular`] | the decomposition that several of these rest on |
@@ -69,6 +70,7 @@ pub mod trial;
 pub mod turning;
 pub mod upload;
 pub mod verification;
+pub mod wrench_uncertainty;
 
 #[cfg(test)]
 mod end_to_end;

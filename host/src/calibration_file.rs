@@ -23,6 +23,7 @@ use serde::{Deserialize, Serialize};
 use crate::calibration::drift::Drift;
 use crate::calibration::joint::uncertainty::Uncertainty;
 use crate::calibration::linearity::CheckRecord;
+use crate::calibration::wrench_uncertainty::WrenchUncertainty;
 use crate::calibration::{BiasOrigin, Calibration, Handedness, Method, TrialRecord};
 use crate::recording::{MIN_GAGES, shown};
 
@@ -130,7 +131,17 @@ struct UncertaintyRecord {
     matrix: Vec<Vec<f64>>,
     per_axis_full_load: Vec<f64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    wrench: Option<WrenchRecord>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     gravity_accuracy: Option<f64>,
+}
+
+/// How the variance of each component follows the wrench, as it is spelled.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct WrenchRecord {
+    unloaded: Vec<f64>,
+    by_load: Vec<Vec<Vec<f64>>>,
 }
 
 /// Only what tells whether the rest can be understood.
@@ -162,6 +173,10 @@ pub fn write(calibration: &Calibration, mut out: impl Write) -> io::Result<()> {
         uncertainty: calibration.uncertainty.as_ref().map(|uncertainty| UncertaintyRecord {
             matrix: rows(&uncertainty.matrix),
             per_axis_full_load: uncertainty.per_axis_full_load.iter().copied().collect(),
+            wrench: uncertainty.wrench.as_ref().map(|wrench| WrenchRecord {
+                unloaded: wrench.unloaded.iter().copied().collect(),
+                by_load: wrench.by_load.iter().map(rows).collect(),
+            }),
             gravity_accuracy: uncertainty.gravity_accuracy,
         }),
         trials: calibration.trials.clone(),
@@ -236,14 +251,7 @@ impl File {
             let expected = "a positive number".to_owned();
             return Err(Inconsistency { field: "gravity", expected, found: self.gravity.to_string() });
         }
-        if self.bias_counts.len() != gages {
-            let expected = format!("{gages} numbers");
-            return Err(Inconsistency {
-                field: "bias_counts",
-                expected,
-                found: self.bias_counts.len().to_string(),
-            });
-        }
+        let bias_counts = checked_vector("bias_counts", &self.bias_counts, gages)?;
         let matrix = checked_matrix("matrix", &self.matrix, components, gages)?;
         let shape = checked_matrix("shape", &self.shape, components, gages)?;
         let product = &matrix * shape.transpose();
@@ -256,27 +264,14 @@ impl File {
                 found: format!("one that is off by {mismatch:.3e}"),
             });
         }
-        let uncertainty = match &self.uncertainty {
-            Some(UncertaintyRecord { per_axis_full_load, .. }) if per_axis_full_load.len() != components => {
-                return Err(Inconsistency {
-                    field: "uncertainty.per_axis_full_load",
-                    expected: format!("{components} numbers"),
-                    found: per_axis_full_load.len().to_string(),
-                });
-            }
-            Some(UncertaintyRecord { matrix, per_axis_full_load, gravity_accuracy }) => Some(Uncertainty {
-                matrix: checked_matrix("uncertainty.matrix", matrix, components, gages)?,
-                per_axis_full_load: DVector::from_column_slice(per_axis_full_load),
-                gravity_accuracy: *gravity_accuracy,
-            }),
-            None => None,
-        };
+        let uncertainty =
+            self.uncertainty.as_ref().map(|record| record.uncertainty(components, gages)).transpose()?;
         Ok(Calibration {
             dof: self.dof,
             method: self.method,
             gravity: self.gravity,
             matrix,
-            bias_counts: DVector::from_vec(self.bias_counts),
+            bias_counts,
             bias: self.bias,
             shape,
             handedness: self.handedness,
@@ -287,6 +282,43 @@ impl File {
             drift: self.drift,
         })
     }
+}
+
+impl UncertaintyRecord {
+    fn uncertainty(&self, components: usize, gages: usize) -> Result<Uncertainty, Inconsistency> {
+        Ok(Uncertainty {
+            matrix: checked_matrix("uncertainty.matrix", &self.matrix, components, gages)?,
+            per_axis_full_load: checked_vector(
+                "uncertainty.per_axis_full_load",
+                &self.per_axis_full_load,
+                components,
+            )?,
+            wrench: self.wrench.as_ref().map(|record| record.wrench(components)).transpose()?,
+            gravity_accuracy: self.gravity_accuracy,
+        })
+    }
+}
+
+impl WrenchRecord {
+    fn wrench(&self, components: usize) -> Result<WrenchUncertainty, Inconsistency> {
+        let field = "uncertainty.wrench.by_load";
+        if self.by_load.len() != components {
+            let expected = format!("{components} matrices");
+            return Err(Inconsistency { field, expected, found: self.by_load.len().to_string() });
+        }
+        let each = self.by_load.iter().map(|matrix| checked_matrix(field, matrix, components, components));
+        Ok(WrenchUncertainty {
+            by_load: each.collect::<Result<_, _>>()?,
+            unloaded: checked_vector("uncertainty.wrench.unloaded", &self.unloaded, components)?,
+        })
+    }
+}
+
+fn checked_vector(field: &'static str, values: &[f64], count: usize) -> Result<DVector<f64>, Inconsistency> {
+    if values.len() == count {
+        return Ok(DVector::from_column_slice(values));
+    }
+    Err(Inconsistency { field, expected: format!("{count} numbers"), found: values.len().to_string() })
 }
 
 fn checked_matrix(

@@ -174,6 +174,8 @@ fn coverage() {
         fraction: 0.5,
         worst_relative_uncertainty: f32::INFINITY,
         targets: [GageTarget { gage: 7, counts: -1.0, position: -0.5 }].into_iter().collect(),
+        bias_deviation_counts: [2.0].into_iter().collect(),
+        shape_deviation_counts_per_load: [0.5, -0.5].into_iter().collect(),
     };
     #[rustfmt::skip]
     assert_response(Response::Coverage(coverage), &[
@@ -182,6 +184,8 @@ fn coverage() {
         0, 0, 0, 0x3F,
         0, 0, 0x80, 0x7F,
         1, 7, 0, 0, 0x80, 0xBF, 0, 0, 0, 0xBF,
+        1, 0, 0, 0, 0x40,
+        2, 0, 0, 0, 0x3F, 0, 0, 0, 0xBF,
     ]);
 }
 

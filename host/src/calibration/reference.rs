@@ -38,9 +38,10 @@ use super::known_load::squashing_matrix;
 use super::matrix::matrix_of_shape;
 use super::procrustes::{Turned, onto};
 use super::singular::Singular;
+use super::wrench_uncertainty::WrenchUncertainty;
 use super::{
     BiasOrigin, Calibration, CalibrationRefusal, Handedness, HandednessEvidence, Method, SolvedTrial,
-    TrialRecord, common_bias, of_joint_solution, require_motion,
+    TrialRecord, bias_covariance, common_bias, of_joint_solution, require_motion,
 };
 use crate::gravity::Gravity;
 
@@ -237,6 +238,9 @@ fn least_change(
     let full_n =
         mean_square(&mut trials.iter().map(|trial| trial.case.mass_kg * gravity.magnitude), trials.len());
     let lengths = lengths(stored);
+    let moved = added.hypot(HIDDEN * drift);
+    let of_bias = &matrix * bias_covariance(trials) * matrix.transpose();
+    let unloaded = of_bias.diagonal().map(|variance| variance.max(0.0).sqrt());
     let uncertainty = stored.uncertainty.as_ref().map(|uncertainty| {
         let before_n = super::accuracy::full_load_n(stored).unwrap_or(full_n);
         let typical_n = full_n / (stored.dof.trial_rank() as f64).sqrt();
@@ -246,9 +250,9 @@ fn least_change(
                 uncertainty.matrix[(row, gage)].hypot(added * matrix[(row, gage)]).hypot(drifted)
             }),
             per_axis_full_load: uncertainty.per_axis_full_load.zip_map(&lengths, |deviation, length| {
-                let moved_n = added.hypot(HIDDEN * drift) * typical_n;
-                (deviation * full_n / before_n).hypot(moved_n * length)
+                (deviation * full_n / before_n).hypot(moved * typical_n * length)
             }),
+            wrench: uncertainty.wrench.as_ref().map(|wrench| moved_by(wrench, moved, &lengths, unloaded)),
             gravity_accuracy: Some(gravity.accuracy.max(uncertainty.gravity_accuracy.unwrap_or(0.0))),
         }
     });
@@ -268,6 +272,21 @@ fn least_change(
         drift: None,
     }
     .finite()
+}
+
+/// What a calibration says of its wrenches once its shape may have moved by this share of any load, in any component.
+fn moved_by(
+    before: &WrenchUncertainty,
+    moved: f64,
+    lengths: &DVector<f64>,
+    unloaded: DVector<f64>,
+) -> WrenchUncertainty {
+    let forces = lengths.iter().filter(|&&length| length == 1.0).count().max(1) as f64;
+    let by_load = before.by_load.iter().zip(lengths).map(|(before, own)| {
+        let of_each = lengths.map(|length| (moved * own / length).powi(2) / forces);
+        before + DMatrix::from_diagonal(&of_each)
+    });
+    WrenchUncertainty { by_load: by_load.collect(), unloaded }
 }
 
 /// Relative standard deviation of the least certain trial: of its gains and of its mass.

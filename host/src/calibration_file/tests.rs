@@ -9,6 +9,7 @@ use crate::calibration::joint::uncertainty::Uncertainty;
 use crate::calibration::linearity::{CheckRecord, CheckVerdict};
 use crate::calibration::matrix::matrix_of_shape;
 use crate::calibration::samples::{Rejection, SampleCounts};
+use crate::calibration::wrench_uncertainty::WrenchUncertainty;
 use crate::calibration::{
     BiasOrigin, Calibration, Handedness, HandednessEvidence, Method, SolutionRecord, TrialRecord,
 };
@@ -30,6 +31,12 @@ fn calibration(dof: Dof, gages: usize, seed: u64) -> Calibration {
         uncertainty: Some(Uncertainty {
             matrix: DMatrix::from_fn(dof.count(), gages, |_, _| number().abs()),
             per_axis_full_load: DVector::from_fn(dof.count(), |_, _| number().abs()),
+            wrench: Some(WrenchUncertainty {
+                by_load: (0..dof.count())
+                    .map(|_| DMatrix::from_fn(dof.count(), dof.count(), |_, _| number()))
+                    .collect(),
+                unloaded: DVector::from_fn(dof.count(), |_, _| number().abs()),
+            }),
             gravity_accuracy: Some(number().abs()),
         }),
         trials: vec![TrialRecord {

@@ -10,6 +10,7 @@ use ftcal_shared::units::{AdcCode, Axis};
 use super::output::Output;
 use super::{Failure, Streams};
 use crate::calibration::Calibration;
+use crate::calibration::wrench_uncertainty::WrenchUncertainty;
 use crate::calibration_file;
 use crate::recording::{Recording, is_saturated, shown};
 use crate::remedy;
@@ -24,6 +25,20 @@ pub struct Arguments {
     /// Where to write the wrenches (CSV); standard output if absent
     #[arg(short, long)]
     pub output: Option<PathBuf>,
+    /// Add to each wrench how certain the calibration is of it, one standard deviation a component. The noise of a sample
+    /// is not in it: that is what the wrenches of a load at rest scatter by
+    #[arg(long)]
+    pub uncertainty: bool,
+}
+
+/// A calibration that does not say how certain it is.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "{calibration}: field `uncertainty.wrench`: expected how the uncertainty follows the wrench, found nothing; calibrate \
+     with `--method sfm` to have it, or leave `--uncertainty` away"
+)]
+pub struct UncertaintyUnknown {
+    calibration: String,
 }
 
 /// A calibration and a recording that do not belong together.
@@ -69,8 +84,14 @@ pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> 
     if recording.unsaturated().any(overflow) {
         return Err(Failure::Refused(remedy::estimation(&Refusal::NonFinite)));
     }
+    let uncertainty = if arguments.uncertainty {
+        let unknown = || UncertaintyUnknown { calibration: shown(&arguments.calibration) };
+        Some(wrench_uncertainty(&calibration).ok_or_else(unknown).map_err(Failure::input)?)
+    } else {
+        None
+    };
     let mut output = Output::open(arguments.output.as_deref(), streams.data)?;
-    let saturated = write_wrenches(&calibration, &recording, &mut output)?;
+    let saturated = write_wrenches(&calibration, uncertainty, &recording, &mut output)?;
     output.finish()?;
     if saturated > 0 {
         writeln!(
@@ -82,28 +103,42 @@ pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> 
     Ok(())
 }
 
-/// Writes one line a sample and says how many samples were saturated. Those are no measurements: their fields are empty.
+fn wrench_uncertainty(calibration: &Calibration) -> Option<&WrenchUncertainty> {
+    calibration.uncertainty.as_ref()?.wrench.as_ref()
+}
+
+/// Writes one line a sample and says how many samples were saturated. Those are no measurements: their fields are empty. With an
+/// `uncertainty`, the standard deviations follow the components.
 ///
 /// # Errors
 ///
 /// Those of the destination.
 pub fn write_wrenches(
     calibration: &Calibration,
+    uncertainty: Option<&WrenchUncertainty>,
     recording: &Recording,
     mut out: impl Write,
 ) -> io::Result<usize> {
     let axes = calibration.dof.axes();
     let names: Vec<&str> = axes.iter().map(|&axis| column_name(axis)).collect();
-    writeln!(out, "t_s,{}", names.join(","))?;
+    write!(out, "t_s,{}", names.join(","))?;
+    if uncertainty.is_some() {
+        let deviations: Vec<String> = names.iter().map(|name| format!("deviation_{name}")).collect();
+        write!(out, ",{}", deviations.join(","))?;
+    }
+    writeln!(out)?;
+    let fields = if uncertainty.is_some() { 2 * axes.len() } else { axes.len() };
     let mut saturated = 0;
     for (time_s, codes) in recording.samples() {
         write!(out, "{time_s}")?;
         if is_saturated(codes) {
             saturated += 1;
-            write!(out, "{}", ",".repeat(axes.len()))?;
+            write!(out, "{}", ",".repeat(fields))?;
         } else {
-            for component in calibration.wrench(&recording.counts(codes)).iter() {
-                write!(out, ",{component}")?;
+            let wrench = calibration.wrench(&recording.counts(codes));
+            let deviations = uncertainty.map(|uncertainty| uncertainty.of(&wrench));
+            for number in wrench.iter().chain(deviations.iter().flatten()) {
+                write!(out, ",{number}")?;
             }
         }
         writeln!(out)?;

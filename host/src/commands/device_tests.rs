@@ -184,7 +184,19 @@ fn a_trial_is_solved_on_the_sensor() {
     for gage in 0..4 {
         let found = solution["bias_counts"][gage].as_f64().expect("a number");
         assert!((found - bias[gage]).abs() < noise, "gage {gage}: {found} for {}", bias[gage]);
+        let deviation = solution["uncertainty"]["bias_counts"][gage].as_f64().expect("a number");
+        // More than five standard deviations happen less than once in a million.
+        assert!(
+            (found - bias[gage]).abs() < 5.0 * deviation && deviation < noise,
+            "gage {gage}: ±{deviation}"
+        );
     }
+    let deviations = &solution["uncertainty"]["shape_counts_per_load"];
+    assert_eq!(
+        (deviations.as_array().map_or(0, Vec::len), deviations[1].as_array().map_or(0, Vec::len)),
+        (2, 4)
+    );
+    assert!(solution["coverage"]["worst_relative_uncertainty"].as_f64().is_some_and(|worst| worst > 0.0));
 }
 
 #[test]

@@ -149,6 +149,54 @@ fn a_session_becomes_a_calibration_that_measures_loads_it_never_saw() {
 }
 
 #[test]
+fn a_wrench_is_given_with_its_uncertainty_where_the_calibration_knows_it() {
+    let mut bench = wrist(1);
+    assert_eq!(bench.calibrate(&[]).code, code(0));
+    let directions: Vec<DVector<f64>> = (0..50).map(|_| bench.sensor.unit()).collect();
+    let (light, heavy) = (
+        bench.sensor.record(0.2, &[0.1, 0.0, 0.05], &directions),
+        bench.sensor.record(2.0, &[0.1, 0.0, 0.05], &directions),
+    );
+    bench.save("light.csv", &light);
+    bench.save("heavy.csv", &heavy);
+    let calibration = bench.path("calibration.json");
+    let numbers = |load: &Path| {
+        let outcome = ftcal(&["apply", text(&calibration), text(load), "--uncertainty"]);
+        assert_eq!(outcome.code, code(0), "{}", outcome.words);
+        let mut lines = outcome.data.lines();
+        let header = "t_s,fx_n,fy_n,fz_n,tx_nm,ty_nm,tz_nm,deviation_fx_n,deviation_fy_n,deviation_fz_n,deviation_tx_nm,\
+                      deviation_ty_nm,deviation_tz_nm";
+        assert_eq!(lines.next(), Some(header));
+        let fields =
+            |line: &str| line.split(',').map(|field| field.parse().expect("a number")).collect::<Vec<f64>>();
+        lines.map(fields).collect::<Vec<_>>()
+    };
+    let stated: Value = serde_json::from_slice(&fs::read(&calibration).expect("written")).expect("JSON");
+    let full_load = &stated["uncertainty"]["per_axis_full_load"];
+    let (light, heavy) = (numbers(&bench.path("light.csv")), numbers(&bench.path("heavy.csv")));
+    let mean_square = |lines: &[Vec<f64>], field: usize| {
+        lines.iter().map(|line| line[field].powi(2)).sum::<f64>() / lines.len() as f64
+    };
+    for axis in 0..6 {
+        let (of_light, of_heavy) = (mean_square(&light, 7 + axis), mean_square(&heavy, 7 + axis));
+        assert!(of_light > 0.0 && of_light < of_heavy, "axis {axis}");
+        // The trials had this mass, at arms as long.
+        let stated = full_load[axis].as_f64().expect("a number");
+        assert!(
+            (0.5..2.0).contains(&(of_heavy.sqrt() / stated)),
+            "axis {axis}: {} of {stated}",
+            of_heavy.sqrt()
+        );
+    }
+
+    let outcome = bench.calibrate(&["--method", "least-squares"]);
+    assert_eq!(outcome.code, code(0), "{}", outcome.words);
+    let outcome = ftcal(&["apply", text(&calibration), text(&bench.path("light.csv")), "--uncertainty"]);
+    assert_eq!((outcome.code, outcome.data.as_str()), (code(2), ""));
+    assert!(outcome.words.contains("uncertainty.wrench"), "{}", outcome.words);
+}
+
+#[test]
 fn an_unproven_handedness_is_refused_in_words_and_in_json() {
     let mut bench = Bench::new(Sensor::new(Dof::PlanarForce, 4, 2), "planar-force");
     bench.trial("turn.csv", 0.5, &[], &[flat(-1.5)], "");

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use ftcal_shared::refusal::Refusal;
+use ftcal_shared::wire;
 use serde::Serialize;
 
 use super::{Failure, Streams, print_json};
@@ -92,6 +93,21 @@ impl From<&TrialCoverage> for Coverage {
             fraction: coverage.fraction,
             weakest_direction: coverage.weakest_direction(),
             worst_relative_uncertainty: coverage.worst_relative_uncertainty,
+        }
+    }
+}
+
+impl From<&wire::Coverage> for Uncertainty {
+    fn from(covered: &wire::Coverage) -> Self {
+        let counts = |deviations: &[f32]| deviations.iter().map(|&counts| counts.into()).collect();
+        let gages = covered.bias_deviation_counts.len().max(1);
+        Self {
+            bias_counts: counts(&covered.bias_deviation_counts),
+            shape_counts_per_load: covered
+                .shape_deviation_counts_per_load
+                .chunks(gages)
+                .map(counts)
+                .collect(),
         }
     }
 }

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use clap::{Args, Subcommand};
-use ftcal_shared::wire::{Solution, TrialStatus};
+use ftcal_shared::wire::{Coverage, Solution, TrialStatus};
 use serde::Serialize;
 
 use super::device::DeviceArgs;
@@ -138,7 +138,8 @@ pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> 
             let mut client = device.connect()?;
             let status = client.trial_status()?;
             let solution = client.solve_trial()?;
-            print_json(&Report::new(&solution, &status), streams.data)?;
+            let covered = client.coverage()?;
+            print_json(&Report::new(&solution, &covered, &status), streams.data)?;
         }
     }
     Ok(())
@@ -202,10 +203,12 @@ struct Report<'a> {
     noise_counts: Option<f64>,
     bias_counts: &'a [f64],
     shape_counts_per_load: Vec<&'a [f64]>,
+    uncertainty: solve::Uncertainty,
+    coverage: solve::Coverage,
 }
 
 impl<'a> Report<'a> {
-    fn new(solution: &'a Solution, trial: &TrialStatus) -> Self {
+    fn new(solution: &'a Solution, covered: &Coverage, trial: &TrialStatus) -> Self {
         let gages = solution.bias_counts.len();
         Self {
             rank: solution.rank,
@@ -215,6 +218,8 @@ impl<'a> Report<'a> {
             noise_counts: solution.noise_counts,
             bias_counts: &solution.bias_counts,
             shape_counts_per_load: solution.shape_counts_per_load.chunks(gages.max(1)).collect(),
+            uncertainty: covered.into(),
+            coverage: (&TrialCoverage::from(covered)).into(),
         }
     }
 }

@@ -130,7 +130,7 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
     ///
     /// Those of [`Bins::solve`]; but that the motion leaves the answer uncertain is no refusal here, as long as it says
     /// which way to turn.
-    pub fn coverage<const RANK: usize>(&mut self) -> Result<Coverage<RANK>, Refusal> {
+    pub fn coverage<const RANK: usize>(&mut self) -> Result<Coverage<GAGES, RANK>, Refusal> {
         let so_far = self.solve_accepting(ROUGHEST);
         let QuietSolution { solution, .. } = so_far.as_ref().map_err(|refusal| *refusal)?;
         self.gate.expect(Expectation::new(solution)?);

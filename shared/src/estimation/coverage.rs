@@ -17,7 +17,7 @@
 //! So a direction is named by the codes that it gives: the gage whose code depends most on the direction alone comes first, and
 //! others follow until together they pin the direction down within 26°.
 
-use nalgebra::{Cholesky, SVector};
+use nalgebra::{Cholesky, SMatrix, SVector};
 
 use super::directions::for_each_direction;
 use super::quadric::{monomials, normal_matrix};
@@ -32,13 +32,17 @@ pub const MAX_TARGETS: usize = 3;
 
 /// Where a trial stands.
 #[derive(Clone, Debug)]
-pub struct Coverage<const RANK: usize> {
+pub struct Coverage<const GAGES: usize, const RANK: usize> {
     /// Samples that took part.
     pub samples: u64,
     /// The share of all directions that the load has been through; see above.
     pub fraction: f64,
     /// The largest predicted standard deviation of a gain, cross-talk or offset, relative to the load.
     pub worst_relative_uncertainty: f64,
+    /// Standard deviations of the bias, counts.
+    pub bias_deviation_counts: SVector<f64, GAGES>,
+    /// Standard deviations of the shape (r × p), counts per unit load, up to its orientation.
+    pub shape_deviation_counts_per_load: SMatrix<f64, RANK, GAGES>,
     /// The direction in which the next samples tell most: a unit vector in the trial's own frame.
     pub weakest_direction: SVector<f64, RANK>,
     /// What the gages read there, the most telling one first.
@@ -64,7 +68,7 @@ pub struct GageTarget {
 #[inline(never)]
 pub fn coverage<const GAGES: usize, const RANK: usize>(
     solution: &TrialSolution<GAGES, RANK>,
-) -> Result<Coverage<RANK>, Refusal> {
+) -> Result<Coverage<GAGES, RANK>, Refusal> {
     let information = normal_matrix(&solution.directions.higher);
     let undetermined = Refusal::MotionDoesNotSpan { relative_uncertainty: f32::INFINITY, need: 1.0 };
     let factor = Cholesky::new(information).ok_or(undetermined)?;
@@ -77,10 +81,17 @@ pub fn coverage<const GAGES: usize, const RANK: usize>(
         }
     });
     let (_, weakest_direction) = weakest;
+    let TrialSolution { uncertainty, shape_counts_per_load: shape, redundant_noise, .. } = solution;
     Ok(Coverage {
+        bias_deviation_counts: uncertainty.bias_deviation(shape, redundant_noise),
+        shape_deviation_counts_per_load: uncertainty.turned_shape_deviation(
+            shape,
+            redundant_noise,
+            &SMatrix::identity(),
+        ),
         samples: solution.samples,
         fraction: 1.0 / solution.directions.concentration().max(1.0),
-        worst_relative_uncertainty: solution.uncertainty.worst_relative(),
+        worst_relative_uncertainty: uncertainty.worst_relative(),
         targets: targets(solution, &weakest_direction),
         weakest_direction,
     })

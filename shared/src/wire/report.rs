@@ -134,6 +134,10 @@ pub struct Coverage {
     pub worst_relative_uncertainty: f32,
     /// Which way to turn the load next: what gages read there, the most telling one first.
     pub targets: heapless::Vec<GageTarget, 3>,
+    /// Standard deviations of b (p), counts.
+    pub bias_deviation_counts: GageList<f32>,
+    /// Standard deviations of S (r × p, row by row), counts per unit load, up to its orientation.
+    pub shape_deviation_counts_per_load: heapless::Vec<f32, { 3 * MAX_GAGES }>,
 }
 
 /// What one gage reads with the load where it is to be turned.

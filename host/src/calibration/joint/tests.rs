@@ -251,6 +251,7 @@ fn nearly_degenerate_arms_are_answered_rightly_or_refused() {
 fn the_predicted_uncertainty_covers_the_error() {
     let mut random = ChaCha8Rng::seed_from_u64(9);
     let (mut squares, mut elements) = (0.0, 0.0);
+    let (mut wrench_squares, mut wrench_components) = (0.0, 0.0);
     for seed in 0..20 {
         let mut sensor = Sensor::new(Dof::SpatialForceTorque, 8, 900 + seed);
         sensor.noise_counts *= 10.0;
@@ -263,14 +264,30 @@ fn the_predicted_uncertainty_covers_the_error() {
             trial
         });
         let calibration = solve(&sensor, &trials).expect("the rough directions choose");
-        let uncertainty = calibration.uncertainty.expect("the joint solution tells it");
+        let uncertainty = calibration.uncertainty.clone().expect("the joint solution tells it");
         let deviations = (&calibration.matrix - truth).component_div(&uncertainty.matrix);
         squares += deviations.norm_squared();
         elements += deviations.len() as f64;
+        let wrench = uncertainty.wrench.expect("the joint solution tells it of each wrench");
+        for _ in 0..10 {
+            // Up to the forces and torques of the trials, the unloaded sensor among them.
+            let share: f64 = random.random();
+            let load = DVector::from_fn(6, |axis, _| {
+                let full = if axis < 3 { 20.0 } else { 2.0 };
+                share * full * (2.0 * random.random::<f64>() - 1.0)
+            });
+            let codes = &sensor.bias_counts + sensor.shape.transpose() * &load;
+            let error = calibration.wrench(&codes) - &load;
+            wrench_squares += error.component_div(&wrench.of(&load)).norm_squared();
+            wrench_components += 6.0;
+        }
     }
     // Twenty sensors of some dozen independent errors each: their root mean square is known to 5 %, three times that.
     let ratio = (squares / elements).sqrt();
     assert!((0.85..1.15).contains(&ratio), "{ratio}");
+    // Of wrenches, six errors a sensor are independent: 6.5 %, three times that.
+    let ratio = f64::sqrt(wrench_squares / wrench_components);
+    assert!((0.8..1.2).contains(&ratio), "{ratio}");
 }
 
 #[test]

@@ -16,6 +16,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::super::drift::ShapeDeviation;
 use super::super::matrix::matrix_of_shape;
+use super::super::wrench_uncertainty::WrenchUncertainty;
 use super::refinement::{Fit, Problem};
 use crate::gravity::Gravity;
 
@@ -27,6 +28,8 @@ pub struct Uncertainty {
     /// Of each component of a wrench (m), newton and newton metre: the root mean square over the loads of the trials in
     /// all directions.
     pub per_axis_full_load: DVector<f64>,
+    /// Of each component of any wrench; `None` of a calibration that does not say.
+    pub wrench: Option<WrenchUncertainty>,
     /// Of the local gravity that is in both, m/s²; `None` where it is in neither.
     pub gravity_accuracy: Option<f64>,
 }
@@ -76,25 +79,26 @@ pub fn propagate(problem: &Problem, fit: &Fit, premises: &Premises) -> Option<Pr
         (variance + common * matrix[(row, column)].powi(2)).max(0.0).sqrt() * problem.lengths[row]
     });
 
-    let loads = mean_square_load(problem, fit, newtons);
     let of_bias = &matrix * bias * matrix.transpose();
-    let mut of_components = DVector::zeros(components);
-    let per_axis = DVector::from_fn(components, |row, _| {
-        // Component c of −C δA is −Σₖ C[row, k] δS̃[c, k]: its covariance over pairs of components.
-        let errors = DMatrix::from_fn(components, components, |c, d| {
-            let mut sum = 0.0;
-            for k in 0..gages {
-                for l in 0..gages {
-                    let element = covariance[(k * components + c, l * components + d)];
-                    sum += matrix[(row, k)] * matrix[(row, l)] * element;
-                }
-            }
-            sum
-        });
-        of_components += errors.diagonal();
-        let scale = errors.component_mul(&loads).sum() + common * loads[(row, row)];
-        (scale + of_bias[(row, row)]).max(0.0).sqrt() * problem.lengths[row]
-    });
+    let errors: Vec<DMatrix<f64>> =
+        (0..components).map(|row| component_covariance(&covariance, &matrix, row)).collect();
+    let of_components = errors.iter().fold(DVector::zeros(components), |sum, error| sum + error.diagonal());
+    let wrench = WrenchUncertainty {
+        by_load: errors
+            .into_iter()
+            .enumerate()
+            .map(|(row, mut error)| {
+                error[(row, row)] += common;
+                DMatrix::from_fn(components, components, |c, d| {
+                    error[(c, d)] * problem.lengths[row].powi(2) / (problem.lengths[c] * problem.lengths[d])
+                })
+            })
+            .collect(),
+        unloaded: DVector::from_fn(components, |row, _| {
+            of_bias[(row, row)].max(0.0).sqrt() * problem.lengths[row]
+        }),
+    };
+    let per_axis = wrench.mean_variance(&mean_square_load(problem, fit, newtons)).map(f64::sqrt);
     let wrench_error = (of_components.sum() / components as f64).sqrt();
     let of_gages = DVector::from_fn(gages, |gage, _| {
         let block = covariance.view((gage * components, gage * components), (components, components));
@@ -103,6 +107,7 @@ pub fn propagate(problem: &Problem, fit: &Fit, premises: &Premises) -> Option<Pr
     let uncertainty = Uncertainty {
         matrix: elements,
         per_axis_full_load: per_axis,
+        wrench: Some(wrench),
         gravity_accuracy: Some(gravity.accuracy),
     };
     let finite = uncertainty.matrix.iter().chain(&uncertainty.per_axis_full_load).all(|x| x.is_finite());
@@ -113,6 +118,21 @@ pub fn propagate(problem: &Problem, fit: &Fit, premises: &Premises) -> Option<Pr
             gages: of_gages,
             components: of_components.map(|variance| (variance + common_mass).sqrt()),
         },
+    })
+}
+
+/// The covariance of row `row` of −C δA over pairs of components: that of −Σₖ C[row, k] δS̃[c, k].
+fn component_covariance(covariance: &DMatrix<f64>, matrix: &DMatrix<f64>, row: usize) -> DMatrix<f64> {
+    let (components, gages) = matrix.shape();
+    DMatrix::from_fn(components, components, |c, d| {
+        let mut sum = 0.0;
+        for k in 0..gages {
+            for l in 0..gages {
+                let element = covariance[(k * components + c, l * components + d)];
+                sum += matrix[(row, k)] * matrix[(row, l)] * element;
+            }
+        }
+        sum
     })
 }
 
@@ -136,12 +156,13 @@ fn common_mass_variance(problem: &Problem) -> f64 {
     variance * (1.0 - 1.0 / trials)
 }
 
-/// ⟨wwᵀ⟩ over the loads of the trials in all directions, torques divided by the characteristic length.
+/// ⟨wwᵀ⟩ over the loads of the trials in all directions, newton and newton metre.
 fn mean_square_load(problem: &Problem, fit: &Fit, newtons: &[f64]) -> DMatrix<f64> {
     let mut mean = DMatrix::zeros(problem.components(), problem.components());
     for (trial, newton) in newtons.iter().enumerate() {
         // A torque of the scaled shape is F · arm / length.
-        let squashing = problem.squashing(&problem.arm_m(trial, &fit.state));
+        let mut squashing = problem.squashing(&problem.arm_m(trial, &fit.state));
+        squashing.column_iter_mut().zip(&problem.lengths).for_each(|(mut column, length)| column *= *length);
         mean += squashing.transpose() * &squashing * (newton * newton / problem.rank as f64);
     }
     mean / newtons.len().max(1) as f64

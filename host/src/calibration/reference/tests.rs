@@ -9,6 +9,7 @@ use crate::calibration::joint::uncertainty::Uncertainty;
 use crate::calibration::known_load::squashing_matrix;
 use crate::calibration::matrix::matrix_of_shape;
 use crate::calibration::synthetic::{Rests, Sensor, flat, spatial, sphere};
+use crate::calibration::wrench_uncertainty::WrenchUncertainty;
 use crate::calibration::{BiasOrigin, Calibration, CalibrationRefusal, Handedness, Method, SolvedTrial};
 use crate::session_file::STANDARD_GRAVITY;
 
@@ -98,6 +99,18 @@ fn stated(calibration: &Calibration, share: f64, newton: f64) -> Uncertainty {
         per_axis_full_load: DVector::from_fn(calibration.dof.count(), |axis, _| {
             share * newton * if axis < forces { 1.0 } else { 0.1 }
         }),
+        wrench: Some(WrenchUncertainty {
+            by_load: (0..calibration.dof.count())
+                .map(|axis| {
+                    let own = if axis < forces { 1.0 } else { 0.1 };
+                    let diagonal = DVector::from_fn(calibration.dof.count(), |other, _| {
+                        if other < forces { (share * own).powi(2) } else { 0.0 }
+                    });
+                    DMatrix::from_diagonal(&diagonal)
+                })
+                .collect(),
+            unloaded: DVector::zeros(calibration.dof.count()),
+        }),
         gravity_accuracy: Some(0.0),
     }
 }
@@ -119,11 +132,16 @@ fn the_stated_uncertainty_covers_the_error_whether_the_arms_see_all_or_not() {
             let uncertainty = found.uncertainty.expect("the stored one states its own");
             assert!(uncertainty.matrix.iter().all(|&deviation| deviation > 0.0));
             let error = &found.matrix * sensor.shape.transpose() - DMatrix::identity(6, 6);
+            let directions = sphere_loads(arms);
+            let wrench = uncertainty.wrench.as_ref().expect("the stored one states it of each wrench");
             for (axis, &deviation) in uncertainty.per_axis_full_load.iter().enumerate() {
-                let directions = sphere_loads(arms);
-                let squares = directions.iter().map(|load| (error.row(axis) * load)[0].powi(2));
-                let actual = (squares.sum::<f64>() / directions.len() as f64).sqrt();
+                let mean = |squares: &dyn Fn(&DVector<f64>) -> f64| {
+                    (directions.iter().map(squares).sum::<f64>() / directions.len() as f64).sqrt()
+                };
+                let actual = mean(&|load| (error.row(axis) * load)[0].powi(2));
                 assert!(actual <= 3.0 * deviation, "axis {axis}: {actual} for {deviation}");
+                let predicted = mean(&|load| wrench.of(load)[axis].powi(2));
+                assert!(actual <= 3.0 * predicted, "axis {axis}: {actual} for {predicted}");
             }
         }
     }
