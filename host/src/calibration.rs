@@ -29,6 +29,7 @@
 //! | [`linearity`] | whether the sensor is linear, at one load and from one to another |
 //! | [`accuracy`] | what a calibration promises of the loads it measures |
 //! | [`verification`], [`parity`] | the check of a calibration in the field: its magnitude, its gages |
+//! | [`bias`] | the sensor's bias from those of its trials |
 //! | [`wrench_uncertainty`] | how certain any one wrench is |
 //! | [`rest`] | which samples of a recording are at rest |
 //! | [`matrix`] | calibration matrix of a shape |
@@ -43,6 +44,7 @@
 
 pub mod accuracy;
 pub mod alignment;
+pub mod bias;
 pub mod cause;
 pub mod consistency;
 pub mod covariance;
@@ -83,6 +85,7 @@ use ftcal_shared::units::Dof;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
+use self::bias::{bias_covariance, common_bias};
 use self::drift::Drift;
 use self::joint::uncertainty::{Premises, Propagated, Uncertainty, propagate};
 use self::known_load::LoadCase;
@@ -101,12 +104,6 @@ const LARGEST_WRENCH_ERROR: f64 = 0.15;
 
 /// The weakest response of the gages over the strongest below which it is the sensor that makes a wrench uncertain.
 const LEAST_RESPONSE: f64 = 0.02;
-
-/// How far the biases of trials may be apart, as a share of the signal of their loads, beyond their uncertainty.
-const LARGEST_BIAS_DISAGREEMENT: f64 = 0.02;
-
-/// How many standard deviations beyond that count as a disagreement.
-const CONTRADICTION: f64 = 5.0;
 
 /// One trial, solved: all that the host needs of it.
 #[derive(Clone, Debug)]
@@ -260,7 +257,7 @@ fn of_joint_solution(
     let bias_counts = common_bias(trials)?;
     let shape = solved.shape();
     let newtons: Vec<f64> = trials.iter().map(|trial| trial.case.mass_kg * gravity.magnitude).collect();
-    let bias = &bias_covariance(trials);
+    let bias = &bias_covariance(trials, gravity.magnitude);
     let premises = Premises { gravity, newtons: &newtons, bias, strain: solved.strain };
     let propagated = propagate(&solved.problem, &solved.answer.fit, &premises);
     let wrench_error = propagated.as_ref().map_or(f64::INFINITY, |propagated| propagated.wrench_error);
@@ -304,7 +301,12 @@ impl Calibration {
     fn finite(self) -> Result<Self, CalibrationRefusal> {
         let numbers =
             self.matrix.iter().chain(&self.shape).chain(&self.bias_counts).chain([&self.fusion_residual]);
-        if numbers.copied().all(f64::is_finite) { Ok(self) } else { Err(CalibrationRefusal::NonFinite) }
+        let certain = self.uncertainty.as_ref().is_none_or(Uncertainty::is_finite);
+        if certain && numbers.copied().all(f64::is_finite) {
+            Ok(self)
+        } else {
+            Err(CalibrationRefusal::NonFinite)
+        }
     }
 }
 
@@ -318,35 +320,6 @@ impl LoadCase {
             solution: None,
         }
     }
-}
-
-/// The mean of the trials' biases, weighted by their samples. All trials are of one sensor: their biases must agree.
-fn common_bias(trials: &[SolvedTrial]) -> Result<DVector<f64>, CalibrationRefusal> {
-    let weight = |trial: &SolvedTrial| trial.shape.samples.used as f64;
-    let weights: f64 = trials.iter().map(weight).sum();
-    let mean =
-        trials.iter().map(|trial| &trial.shape.bias_counts * weight(trial)).sum::<DVector<f64>>() / weights;
-    for (index, trial) in trials.iter().enumerate() {
-        let signal_counts = trial.shape.shape_counts_per_load.norm() / (trial.shape.rank() as f64).sqrt();
-        let counts = (&trial.shape.bias_counts - &mean).norm();
-        let allowed = LARGEST_BIAS_DISAGREEMENT + CONTRADICTION * trial.shape.covariance.bias_deviation();
-        let agrees = counts <= allowed * signal_counts;
-        if !agrees {
-            return Err(CalibrationRefusal::BiasesDisagree { trial: index, counts, signal_counts });
-        }
-    }
-    Ok(mean)
-}
-
-/// The covariance of that mean (p × p), counts².
-fn bias_covariance(trials: &[SolvedTrial]) -> DMatrix<f64> {
-    let weight = |trial: &SolvedTrial| trial.shape.samples.used as f64;
-    let weights: f64 = trials.iter().map(weight).sum();
-    let each = trials.iter().map(|trial| {
-        let share = weight(trial) / weights;
-        trial.shape.covariance.bias(&trial.shape.shape_counts_per_load) * (share * share)
-    });
-    each.sum()
 }
 
 fn require_gages(dof: Dof, trials: &[SolvedTrial]) -> Result<(), CalibrationRefusal> {

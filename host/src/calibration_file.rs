@@ -141,6 +141,7 @@ struct UncertaintyRecord {
 #[serde(deny_unknown_fields)]
 struct WrenchRecord {
     unloaded: Vec<f64>,
+    with_bias: Vec<Vec<f64>>,
     by_load: Vec<Vec<Vec<f64>>>,
 }
 
@@ -175,6 +176,7 @@ pub fn write(calibration: &Calibration, mut out: impl Write) -> io::Result<()> {
             per_axis_full_load: uncertainty.per_axis_full_load.iter().copied().collect(),
             wrench: uncertainty.wrench.as_ref().map(|wrench| WrenchRecord {
                 unloaded: wrench.unloaded.iter().copied().collect(),
+                with_bias: wrench.with_bias.iter().map(|vector| vector.iter().copied().collect()).collect(),
                 by_load: wrench.by_load.iter().map(rows).collect(),
             }),
             gravity_accuracy: uncertainty.gravity_accuracy,
@@ -286,13 +288,15 @@ impl File {
 
 impl UncertaintyRecord {
     fn uncertainty(&self, components: usize, gages: usize) -> Result<Uncertainty, Inconsistency> {
+        let matrix = checked_matrix("uncertainty.matrix", &self.matrix, components, gages)?;
+        let per_axis = "uncertainty.per_axis_full_load";
+        let per_axis_full_load = checked_vector(per_axis, &self.per_axis_full_load, components)?;
+        deviations("uncertainty.matrix", matrix.iter())?;
+        deviations(per_axis, per_axis_full_load.iter())?;
+        deviations("uncertainty.gravity_accuracy", self.gravity_accuracy.iter())?;
         Ok(Uncertainty {
-            matrix: checked_matrix("uncertainty.matrix", &self.matrix, components, gages)?,
-            per_axis_full_load: checked_vector(
-                "uncertainty.per_axis_full_load",
-                &self.per_axis_full_load,
-                components,
-            )?,
+            matrix,
+            per_axis_full_load,
             wrench: self.wrench.as_ref().map(|record| record.wrench(components)).transpose()?,
             gravity_accuracy: self.gravity_accuracy,
         })
@@ -307,10 +311,31 @@ impl WrenchRecord {
             return Err(Inconsistency { field, expected, found: self.by_load.len().to_string() });
         }
         let each = self.by_load.iter().map(|matrix| checked_matrix(field, matrix, components, components));
-        Ok(WrenchUncertainty {
+        let with_bias =
+            checked_matrix("uncertainty.wrench.with_bias", &self.with_bias, components, components)?;
+        let wrench = WrenchUncertainty {
             by_load: each.collect::<Result<_, _>>()?,
+            with_bias: with_bias.row_iter().map(|row| row.transpose()).collect(),
             unloaded: checked_vector("uncertainty.wrench.unloaded", &self.unloaded, components)?,
-        })
+        };
+        if wrench.is_possible() {
+            return Ok(wrench);
+        }
+        let expected = "covariances: symmetric, and no variance negative".to_owned();
+        Err(Inconsistency { field: "uncertainty.wrench", expected, found: "others".to_owned() })
+    }
+}
+
+fn deviations<'a>(
+    field: &'static str,
+    mut values: impl Iterator<Item = &'a f64>,
+) -> Result<(), Inconsistency> {
+    match values.find(|value| **value < 0.0) {
+        None => Ok(()),
+        Some(found) => {
+            let expected = "standard deviations, none of them negative".to_owned();
+            Err(Inconsistency { field, expected, found: found.to_string() })
+        }
     }
 }
 

@@ -51,7 +51,7 @@ fn the_greeting_is_frozen() {
 
 #[test]
 fn this_set_belongs_to_version_one() {
-    assert_eq!(PROTOCOL_VERSION, 1);
+    assert_eq!(PROTOCOL_VERSION, 2);
 }
 
 #[test]

@@ -87,6 +87,21 @@ impl TrialCovariance {
         along + &self.redundant_noise * self.across[(rank, rank)]
     }
 
+    /// Covariance of the elements of the shape (r × p, counts per unit load, column by column) with those of the bias (p), of
+    /// a trial of this shape, whose errors do not turn it: both are displaced along the shape by one estimate of E and h, and
+    /// across it by one regression.
+    pub fn shape_with_bias(&self, shape: &DMatrix<f64>) -> DMatrix<f64> {
+        let (rank, gains) = (self.rank(), self.gain_count());
+        let mixed = self.along.view((0, gains), (gains, rank)) * shape;
+        DMatrix::from_fn(rank * shape.ncols(), shape.ncols(), |element, biased| {
+            let (gage, row) = (element / rank, element % rank);
+            let along: f64 = (0..rank)
+                .map(|other| shape[(other, gage)] * mixed[(gain_position(rank, row, other), biased)])
+                .sum();
+            along + self.across[(row, rank)] * self.redundant_noise[(gage, biased)]
+        })
+    }
+
     /// Standard deviations of the elements of the trial's shape (r × p, counts per unit load, rows orthogonal), up to its
     /// orientation.
     ///

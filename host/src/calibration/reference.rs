@@ -26,6 +26,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::accuracy::wrench_deviation;
 use super::alignment::{MODEL_ERROR, Sight, angle, sights};
+use super::bias::{bias_covariance, common_bias};
 use super::drift::{ShapeDeviation, drift};
 use super::fusion::stack;
 use super::handedness::MARGIN;
@@ -41,7 +42,7 @@ use super::singular::Singular;
 use super::wrench_uncertainty::WrenchUncertainty;
 use super::{
     BiasOrigin, Calibration, CalibrationRefusal, Handedness, HandednessEvidence, Method, SolvedTrial,
-    TrialRecord, bias_covariance, common_bias, of_joint_solution, require_motion,
+    TrialRecord, of_joint_solution, require_motion,
 };
 use crate::gravity::Gravity;
 
@@ -231,28 +232,34 @@ fn least_change(
 ) -> Result<Calibration, CalibrationRefusal> {
     let drift = oriented.iter().map(|oriented| oriented.found.residual).fold(0.0, f64::max);
     let matrix = matrix_of_shape(shape).map_err(|_| CalibrationRefusal::ShapeRankDeficient)?;
-    let added = trial_deviation(trials).hypot(gravity.relative_accuracy());
-    let mean_square = |values: &mut dyn Iterator<Item = f64>, count: usize| {
-        (values.map(|value| value * value).sum::<f64>() / count.max(1) as f64).sqrt()
-    };
-    let full_n =
-        mean_square(&mut trials.iter().map(|trial| trial.case.mass_kg * gravity.magnitude), trials.len());
     let lengths = lengths(stored);
-    let moved = added.hypot(HIDDEN * drift);
-    let of_bias = &matrix * bias_covariance(trials) * matrix.transpose();
-    let unloaded = of_bias.diagonal().map(|variance| variance.max(0.0).sqrt());
+    let newtons: Vec<f64> = trials.iter().map(|trial| trial.case.mass_kg * gravity.magnitude).collect();
+    let changed = Changed::new(gravity, trials, drift);
     let uncertainty = stored.uncertainty.as_ref().map(|uncertainty| {
+        let full_n = root_mean_square(newtons.iter().copied());
         let before_n = super::accuracy::full_load_n(stored).unwrap_or(full_n);
         let typical_n = full_n / (stored.dof.trial_rank() as f64).sqrt();
+        let moved_n = changed.scale.hypot(changed.gain).hypot(HIDDEN * drift) * typical_n;
+        let wrench = uncertainty.wrench.as_ref().map(|wrench| {
+            let bias = bias_covariance(trials, gravity.magnitude).bias;
+            let unloaded = (&matrix * bias * matrix.transpose()).diagonal().map(f64::sqrt);
+            changed.wrench(wrench, &lengths, unloaded)
+        });
         Uncertainty {
             matrix: DMatrix::from_fn(matrix.nrows(), matrix.ncols(), |row, gage| {
-                let drifted = drift * matrix.row(row).norm();
-                uncertainty.matrix[(row, gage)].hypot(added * matrix[(row, gage)]).hypot(drifted)
+                let added = changed.scale.hypot(changed.gain) * matrix[(row, gage)];
+                uncertainty.matrix[(row, gage)].hypot(added).hypot(drift * matrix.row(row).norm())
             }),
-            per_axis_full_load: uncertainty.per_axis_full_load.zip_map(&lengths, |deviation, length| {
-                (deviation * full_n / before_n).hypot(moved * typical_n * length)
-            }),
-            wrench: uncertainty.wrench.as_ref().map(|wrench| moved_by(wrench, moved, &lengths, unloaded)),
+            per_axis_full_load: match &wrench {
+                Some(wrench) => {
+                    let loads = mean_square_load(stored.dof.trial_rank(), trials, &newtons);
+                    wrench.mean_variance(&loads).map(f64::sqrt)
+                }
+                None => uncertainty.per_axis_full_load.zip_map(&lengths, |deviation, length| {
+                    (deviation * full_n / before_n).hypot(moved_n * length)
+                }),
+            },
+            wrench,
             gravity_accuracy: Some(gravity.accuracy.max(uncertainty.gravity_accuracy.unwrap_or(0.0))),
         }
     });
@@ -274,19 +281,62 @@ fn least_change(
     .finite()
 }
 
-/// What a calibration says of its wrenches once its shape may have moved by this share of any load, in any component.
-fn moved_by(
-    before: &WrenchUncertainty,
-    moved: f64,
-    lengths: &DVector<f64>,
-    unloaded: DVector<f64>,
-) -> WrenchUncertainty {
-    let forces = lengths.iter().filter(|&&length| length == 1.0).count().max(1) as f64;
-    let by_load = before.by_load.iter().zip(lengths).map(|(before, own)| {
-        let of_each = lengths.map(|length| (moved * own / length).powi(2) / forces);
-        before + DMatrix::from_diagonal(&of_each)
+/// By how much more than the stored calibration says a wrench may be wrong, as shares of the load.
+struct Changed {
+    /// All components in one ratio: the masses, and gravity.
+    scale: f64,
+    /// Any gain or cross-talk of the trials.
+    gain: f64,
+    /// The whole shape.
+    drift: f64,
+    rank: f64,
+}
+
+impl Changed {
+    fn new(gravity: Gravity, trials: &[SolvedTrial], drift: f64) -> Self {
+        let largest = |of: &dyn Fn(&SolvedTrial) -> f64| trials.iter().map(of).fold(0.0, f64::max);
+        Self {
+            scale: largest(&|trial| trial.case.mass_accuracy_kg / trial.case.mass_kg)
+                .hypot(gravity.relative_accuracy()),
+            gain: largest(&|trial| trial.shape.covariance.gain_deviation()),
+            drift,
+            rank: trials.first().map_or(1.0, |trial| trial.shape.rank() as f64),
+        }
+    }
+
+    /// What a calibration says of its wrenches after that, with a bias of its own, of which the stored shape knows nothing.
+    /// A gain off by g displaces a component by g|w|, wherever w points; a shape that has moved by d of its whole, of which
+    /// each of r rows has its share, by d|w|/√r.
+    fn wrench(
+        &self,
+        before: &WrenchUncertainty,
+        lengths: &DVector<f64>,
+        unloaded: DVector<f64>,
+    ) -> WrenchUncertainty {
+        let any = self.gain.powi(2) + (HIDDEN * self.drift).powi(2) / self.rank;
+        let by_load = before.by_load.iter().zip(lengths).enumerate().map(|(row, (before, own))| {
+            let mut after =
+                before + DMatrix::from_diagonal(&lengths.map(|length| any * (own / length).powi(2)));
+            after[(row, row)] += self.scale.powi(2);
+            after
+        });
+        let with_bias = vec![DVector::zeros(lengths.len()); lengths.len()];
+        WrenchUncertainty { by_load: by_load.collect(), with_bias, unloaded }
+    }
+}
+
+/// ⟨wwᵀ⟩ over the loads of the trials in all directions, newton and newton metre.
+fn mean_square_load(rank: usize, trials: &[SolvedTrial], newtons: &[f64]) -> DMatrix<f64> {
+    let each = trials.iter().zip(newtons).map(|(trial, newton)| {
+        let squashing = squashing_matrix(rank, &trial.case.arm_m);
+        squashing.transpose() * &squashing * (newton * newton / rank as f64)
     });
-    WrenchUncertainty { by_load: by_load.collect(), unloaded }
+    each.sum::<DMatrix<f64>>() / trials.len().max(1) as f64
+}
+
+fn root_mean_square(values: impl ExactSizeIterator<Item = f64>) -> f64 {
+    let count = values.len().max(1) as f64;
+    (values.map(|value| value * value).sum::<f64>() / count).sqrt()
 }
 
 /// Relative standard deviation of the least certain trial: of its gains and of its mass.

@@ -9,8 +9,8 @@ use nalgebra::DMatrix;
 use super::fusion::Stack;
 use super::matrix::matrix_of_shape;
 use super::{
-    BiasOrigin, Calibration, CalibrationRefusal, Handedness, Method, SolvedTrial, alignment, cause,
-    common_bias, handedness, require_certain, require_gages, require_motion,
+    BiasOrigin, Calibration, CalibrationRefusal, Handedness, Method, SolvedTrial, alignment, bias, cause,
+    handedness, require_certain, require_gages, require_motion,
 };
 
 /// Calibrates trial by trial: aligns, proves, stacks.
@@ -28,7 +28,7 @@ pub fn calibrate(dof: Dof, gravity: f64, trials: &[SolvedTrial]) -> Result<Calib
     let arms = Stack::new(dof, &trials.iter().map(|trial| &trial.case.arm_m).collect::<Vec<_>>())?;
     let proven = handedness::prove(trials, &alignments, &arms, gravity)
         .map_err(|refusal| cause::named(refusal, trials))?;
-    let bias_counts = common_bias(trials)?;
+    let bias_counts = bias::common_bias(trials)?;
     let shapes: Vec<DMatrix<f64>> = proven.oriented.iter().map(|trial| trial.shape.clone()).collect();
     let fused = arms.fuse(&shapes);
     let mut scaled = fused.shape.clone();

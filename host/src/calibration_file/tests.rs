@@ -31,12 +31,7 @@ fn calibration(dof: Dof, gages: usize, seed: u64) -> Calibration {
         uncertainty: Some(Uncertainty {
             matrix: DMatrix::from_fn(dof.count(), gages, |_, _| number().abs()),
             per_axis_full_load: DVector::from_fn(dof.count(), |_, _| number().abs()),
-            wrench: Some(WrenchUncertainty {
-                by_load: (0..dof.count())
-                    .map(|_| DMatrix::from_fn(dof.count(), dof.count(), |_, _| number()))
-                    .collect(),
-                unloaded: DVector::from_fn(dof.count(), |_, _| number().abs()),
-            }),
+            wrench: Some(wrench_uncertainty(dof.count(), &mut number)),
             gravity_accuracy: Some(number().abs()),
         }),
         trials: vec![TrialRecord {
@@ -70,6 +65,20 @@ fn calibration(dof: Dof, gages: usize, seed: u64) -> Calibration {
             axis_uncertainty_percent: vec![number().abs(); dof.count()],
             components_seen: dof.count() as u64,
         }),
+    }
+}
+
+/// The uncertainty of wrenches of so many components: covariances of random numbers.
+fn wrench_uncertainty(components: usize, number: &mut impl FnMut() -> f64) -> WrenchUncertainty {
+    let zero = 3.0;
+    let by_load = (0..components).map(|_| {
+        let factor = DMatrix::from_fn(components, components, |_, _| number());
+        &factor * factor.transpose() + DMatrix::identity(components, components)
+    });
+    WrenchUncertainty {
+        by_load: by_load.collect(),
+        with_bias: vec![DVector::from_element(components, 0.1); components],
+        unloaded: DVector::from_element(components, zero),
     }
 }
 
@@ -145,6 +154,31 @@ fn other_formats_and_contradictions_are_named() {
     assert_eq!(field_of(&Calibration { shape: DMatrix::zeros(2, 2), ..good.clone() }), "shape");
     assert_eq!(field_of(&Calibration { shape: DMatrix::identity(2, 3), ..good.clone() }), "shape");
     assert_eq!(field_of(&Calibration { gravity: -1.0, ..good.clone() }), "gravity");
+
+    let uncertain = |change: &dyn Fn(&mut Uncertainty)| {
+        let mut changed = good.clone();
+        change(changed.uncertainty.as_mut().expect("stated above"));
+        changed
+    };
+    for (field, change) in [
+        (
+            "uncertainty.matrix",
+            &(|stated: &mut Uncertainty| stated.matrix[(1, 2)] = -1.0) as &dyn Fn(&mut Uncertainty),
+        ),
+        ("uncertainty.per_axis_full_load", &|stated: &mut Uncertainty| stated.per_axis_full_load[0] = -1.0),
+        ("uncertainty.gravity_accuracy", &|stated: &mut Uncertainty| stated.gravity_accuracy = Some(-1.0)),
+        ("uncertainty.wrench", &|stated: &mut Uncertainty| {
+            stated.wrench.as_mut().expect("stated").by_load[0][(0, 0)] = -1.0
+        }),
+        ("uncertainty.wrench", &|stated: &mut Uncertainty| {
+            stated.wrench.as_mut().expect("stated").unloaded[0] = -1.0
+        }),
+    ] {
+        assert_eq!(field_of(&uncertain(change)), field);
+    }
+    // What an earlier version of the tool wrote says nothing of single wrenches.
+    let earlier = uncertain(&|stated: &mut Uncertainty| stated.wrench = None);
+    assert_eq!(parse(written(&earlier).as_bytes(), "c").expect("complete"), earlier);
 
     let unknown = written(&good).replacen("\"dof\"", "\"extra\": 1, \"dof\"", 1);
     assert!(matches!(parse(unknown.as_bytes(), "c"), Err(CalibrationFileError::Malformed { .. })));

@@ -34,8 +34,8 @@ pub struct Arguments {
 /// A calibration that does not say how certain it is.
 #[derive(Debug, thiserror::Error)]
 #[error(
-    "{calibration}: field `uncertainty.wrench`: expected how the uncertainty follows the wrench, found nothing; calibrate \
-     with `--method sfm` to have it, or leave `--uncertainty` away"
+    "{calibration}: field `uncertainty.wrench`: expected how the uncertainty follows the wrench, found nothing; \
+     calibrate again from the session, with `--method sfm`, or leave `--uncertainty` away"
 )]
 pub struct UncertaintyUnknown {
     calibration: String,

@@ -136,10 +136,20 @@ pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> 
         }
         TrialAction::Solve { device, .. } => {
             let mut client = device.connect()?;
-            let status = client.trial_status()?;
             let solution = client.solve_trial()?;
-            let covered = client.coverage()?;
-            print_json(&Report::new(&solution, &covered, &status), streams.data)?;
+            // What the solution leaves out is known only now.
+            let status = client.trial_status()?;
+            let covered =
+                client.coverage().map(|covered| (covered.samples == solution.samples).then_some(covered));
+            if !matches!(covered, Ok(Some(_))) {
+                let cause =
+                    covered.as_ref().err().map_or("it is of other samples".to_owned(), ToString::to_string);
+                writeln!(
+                    streams.words,
+                    "The solution is good, but how certain it is could not be told: {cause}."
+                )?;
+            }
+            print_json(&Report::new(&solution, covered.ok().flatten().as_ref(), &status), streams.data)?;
         }
     }
     Ok(())
@@ -203,12 +213,12 @@ struct Report<'a> {
     noise_counts: Option<f64>,
     bias_counts: &'a [f64],
     shape_counts_per_load: Vec<&'a [f64]>,
-    uncertainty: solve::Uncertainty,
-    coverage: solve::Coverage,
+    uncertainty: Option<solve::Uncertainty>,
+    coverage: Option<solve::Coverage>,
 }
 
 impl<'a> Report<'a> {
-    fn new(solution: &'a Solution, covered: &Coverage, trial: &TrialStatus) -> Self {
+    fn new(solution: &'a Solution, covered: Option<&Coverage>, trial: &TrialStatus) -> Self {
         let gages = solution.bias_counts.len();
         Self {
             rank: solution.rank,
@@ -218,8 +228,8 @@ impl<'a> Report<'a> {
             noise_counts: solution.noise_counts,
             bias_counts: &solution.bias_counts,
             shape_counts_per_load: solution.shape_counts_per_load.chunks(gages.max(1)).collect(),
-            uncertainty: covered.into(),
-            coverage: (&TrialCoverage::from(covered)).into(),
+            uncertainty: covered.map(solve::Uncertainty::from),
+            coverage: covered.map(|covered| (&TrialCoverage::from(covered)).into()),
         }
     }
 }

@@ -154,7 +154,8 @@ fn turn_and_solve(
     stage.client.stream(StreamKind::Off)?;
     samples.retain(|sample| sample.index.since(status.first) < status.offered);
     let solution = stage.client.solve_trial()?;
-    Ok((recording_of(&samples), solution, status))
+    // What the solution leaves out is known only now.
+    Ok((recording_of(&samples), solution, stage.client.trial_status()?))
 }
 
 /// Holds the load as well as can be along this direction of the sensor frame, and records a rest.

@@ -7,7 +7,7 @@ use crate::refusal::Refusal;
 use crate::units::{DataRate, Dof, Gain, MAX_DOF, MAX_GAGES};
 
 /// The version of every message but the greeting.
-pub const PROTOCOL_VERSION: u16 = 1;
+pub const PROTOCOL_VERSION: u16 = 2;
 
 /// What a sensor of this product answers to a greeting.
 pub const PRODUCT: [u8; 5] = *b"ftcal";

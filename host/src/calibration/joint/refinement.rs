@@ -196,6 +196,14 @@ impl Problem {
         Linearised { residual: self.misfit_of(trial, state), by_own: DMatrix::from_columns(&own), by_shape }
     }
 
+    /// What a change of a trial's observed shape (rp, column by column) does to the gradient: by the trial's own unknowns
+    /// (own × rp), and by S̃ (mp × rp).
+    pub fn response(&self, trial: usize, state: &State) -> (DMatrix<f64>, DMatrix<f64>) {
+        let Linearised { by_own, by_shape, .. } = self.linearised(trial, state);
+        let whitening = &self.observations[trial].whitening;
+        (by_own.transpose() * whitening, by_shape.transpose() * whitening)
+    }
+
     /// Normal matrix and half the gradient of the sum of squares.
     fn normal_equations(&self, state: &State) -> (DMatrix<f64>, DVector<f64>) {
         let (own, shape) = (self.own_unknowns(), self.components() * self.gages());

@@ -7,13 +7,15 @@
 //! δC = −C δA C + (AᵀA)⁻¹ δAᵀ (I − A C)
 //! ```
 //!
-//! and the wrench of a load w is wrong by −C δA w + C δb.
+//! and the wrench of a load w is wrong by −C δA w − C δb. The errors of shape and bias are of the same motion and belong
+//! together: S̃ answers to an error of what a trial saw by the inverse of the normal matrix times the trial's share in the gradient.
 //!
 //! What all trials have in common does not average out over them, and makes all of C too large or too small in one ratio: the
 //! masses, which are weighed on one scale, so that their common share of the variance is added again; and local gravity.
 
 use nalgebra::{DMatrix, DVector};
 
+use super::super::bias::BiasCovariance;
 use super::super::drift::ShapeDeviation;
 use super::super::matrix::matrix_of_shape;
 use super::super::wrench_uncertainty::WrenchUncertainty;
@@ -34,6 +36,16 @@ pub struct Uncertainty {
     pub gravity_accuracy: Option<f64>,
 }
 
+impl Uncertainty {
+    /// Whether every number is one.
+    pub fn is_finite(&self) -> bool {
+        let wrench = self.wrench.iter().flat_map(WrenchUncertainty::numbers);
+        let numbers =
+            self.matrix.iter().chain(&self.per_axis_full_load).chain(&self.gravity_accuracy).chain(wrench);
+        numbers.copied().all(f64::is_finite)
+    }
+}
+
 /// What a covariance is carried on with.
 #[derive(Clone, Copy, Debug)]
 pub struct Premises<'a> {
@@ -41,8 +53,8 @@ pub struct Premises<'a> {
     pub gravity: Gravity,
     /// The loads of the trials, newton.
     pub newtons: &'a [f64],
-    /// Covariance of the bias (p × p), counts².
-    pub bias: &'a DMatrix<f64>,
+    /// How certain the bias is.
+    pub bias: &'a BiasCovariance,
     /// How many times larger than expected the misfit is.
     pub strain: f64,
 }
@@ -64,7 +76,8 @@ pub fn propagate(problem: &Problem, fit: &Fit, premises: &Premises) -> Option<Pr
     let (components, gages) = (problem.components(), problem.gages());
     let shape = &fit.state.shape;
     let matrix = matrix_of_shape(shape).ok()?;
-    let covariance = shape_covariance(problem, fit)? * strain;
+    let inverse = inverse(&fit.normal)?;
+    let covariance = shape_part(problem, &inverse) * strain;
     let common_mass = common_mass_variance(problem);
     let common = common_mass + gravity.relative_accuracy().powi(2);
 
@@ -79,7 +92,8 @@ pub fn propagate(problem: &Problem, fit: &Fit, premises: &Premises) -> Option<Pr
         (variance + common * matrix[(row, column)].powi(2)).max(0.0).sqrt() * problem.lengths[row]
     });
 
-    let of_bias = &matrix * bias * matrix.transpose();
+    let of_bias = &matrix * &bias.bias * matrix.transpose();
+    let mixed = shape_with_bias(problem, fit, &inverse, bias);
     let errors: Vec<DMatrix<f64>> =
         (0..components).map(|row| component_covariance(&covariance, &matrix, row)).collect();
     let of_components = errors.iter().fold(DVector::zeros(components), |sum, error| sum + error.diagonal());
@@ -94,10 +108,21 @@ pub fn propagate(problem: &Problem, fit: &Fit, premises: &Premises) -> Option<Pr
                 })
             })
             .collect(),
+        with_bias: (0..components)
+            .map(|row| {
+                // Twice the covariance of (C δA) and C δb, component by component.
+                let of_bias = &mixed * matrix.row(row).transpose();
+                DVector::from_fn(components, |c, _| {
+                    let of_gages = (0..gages).map(|k| matrix[(row, k)] * of_bias[k * components + c]);
+                    2.0 * of_gages.sum::<f64>() * problem.lengths[row].powi(2) / problem.lengths[c]
+                })
+            })
+            .collect(),
         unloaded: DVector::from_fn(components, |row, _| {
             of_bias[(row, row)].max(0.0).sqrt() * problem.lengths[row]
         }),
-    };
+    }
+    .bounded();
     let per_axis = wrench.mean_variance(&mean_square_load(problem, fit, newtons)).map(f64::sqrt);
     let wrench_error = (of_components.sum() / components as f64).sqrt();
     let of_gages = DVector::from_fn(gages, |gage, _| {
@@ -110,7 +135,7 @@ pub fn propagate(problem: &Problem, fit: &Fit, premises: &Premises) -> Option<Pr
         wrench: Some(wrench),
         gravity_accuracy: Some(gravity.accuracy),
     };
-    let finite = uncertainty.matrix.iter().chain(&uncertainty.per_axis_full_load).all(|x| x.is_finite());
+    let finite = uncertainty.is_finite() && of_bias.iter().chain(&covariance).all(|x| x.is_finite());
     (finite && wrench_error.is_finite()).then(|| Propagated {
         uncertainty,
         wrench_error,
@@ -136,17 +161,41 @@ fn component_covariance(covariance: &DMatrix<f64>, matrix: &DMatrix<f64>, row: u
     })
 }
 
-/// The covariance of S̃, column by column, from the normal matrix.
-fn shape_covariance(problem: &Problem, fit: &Fit) -> Option<DMatrix<f64>> {
-    let own = problem.observations.len() * problem.own_unknowns();
-    let wide = fit.normal.nrows() - own;
+/// The inverse of the normal matrix: the covariance of all unknowns.
+fn inverse(normal: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     // Brought to a diagonal of ones first: the unknowns differ by many orders of magnitude.
-    let scale = fit.normal.diagonal().map(|element| 1.0 / element.sqrt());
-    let scaled = DMatrix::from_fn(fit.normal.nrows(), fit.normal.ncols(), |a, b| {
-        fit.normal[(a, b)] * scale[a] * scale[b]
-    });
+    let scale = normal.diagonal().map(|element| 1.0 / element.sqrt());
+    let scaled =
+        DMatrix::from_fn(normal.nrows(), normal.ncols(), |a, b| normal[(a, b)] * scale[a] * scale[b]);
     let inverse = scaled.cholesky()?.inverse();
-    Some(DMatrix::from_fn(wide, wide, |a, b| inverse[(own + a, own + b)] * scale[own + a] * scale[own + b]))
+    Some(DMatrix::from_fn(inverse.nrows(), inverse.ncols(), |a, b| inverse[(a, b)] * scale[a] * scale[b]))
+}
+
+/// The covariance of S̃, column by column.
+fn shape_part(problem: &Problem, inverse: &DMatrix<f64>) -> DMatrix<f64> {
+    let own = problem.observations.len() * problem.own_unknowns();
+    let wide = inverse.nrows() - own;
+    inverse.view((own, own), (wide, wide)).into_owned()
+}
+
+/// The covariance of S̃, column by column (mp), with the bias (p).
+fn shape_with_bias(
+    problem: &Problem,
+    fit: &Fit,
+    inverse: &DMatrix<f64>,
+    bias: &BiasCovariance,
+) -> DMatrix<f64> {
+    let own = problem.own_unknowns();
+    let first = problem.observations.len() * own;
+    let wide = inverse.nrows() - first;
+    let mut covariance = DMatrix::zeros(wide, problem.gages());
+    for (trial, with_shape) in bias.with_shapes.iter().enumerate() {
+        let (by_own, by_shape) = problem.response(trial, &fit.state);
+        let answer = inverse.view((first, trial * own), (wide, own)) * by_own
+            + inverse.view((first, first), (wide, wide)) * by_shape;
+        covariance += answer * with_shape;
+    }
+    covariance
 }
 
 /// The variance that all masses have in common, relative, beyond what is left of it in the mean of the trials.

@@ -109,6 +109,7 @@ fn stated(calibration: &Calibration, share: f64, newton: f64) -> Uncertainty {
                     DMatrix::from_diagonal(&diagonal)
                 })
                 .collect(),
+            with_bias: vec![DVector::zeros(calibration.dof.count()); calibration.dof.count()],
             unloaded: DVector::zeros(calibration.dof.count()),
         }),
         gravity_accuracy: Some(0.0),
