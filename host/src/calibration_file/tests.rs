@@ -168,10 +168,10 @@ fn other_formats_and_contradictions_are_named() {
         ("uncertainty.per_axis_full_load", &|stated: &mut Uncertainty| stated.per_axis_full_load[0] = -1.0),
         ("uncertainty.gravity_accuracy", &|stated: &mut Uncertainty| stated.gravity_accuracy = Some(-1.0)),
         ("uncertainty.wrench", &|stated: &mut Uncertainty| {
-            stated.wrench.as_mut().expect("stated").by_load[0][(0, 0)] = -1.0
+            stated.wrench.as_mut().expect("stated").by_load[0][(0, 0)] = -1.0;
         }),
         ("uncertainty.wrench", &|stated: &mut Uncertainty| {
-            stated.wrench.as_mut().expect("stated").unloaded[0] = -1.0
+            stated.wrench.as_mut().expect("stated").unloaded[0] = -1.0;
         }),
     ] {
         assert_eq!(field_of(&uncertain(change)), field);
