@@ -22,8 +22,10 @@
 
 pub mod acquisition;
 pub mod adc;
+pub mod black_box;
 pub mod long_count;
 pub mod sensor;
 pub mod session;
 pub mod trial;
 pub mod tunnel;
+pub mod vitality;

@@ -40,6 +40,7 @@ mod app {
     use ftcal_firmware::sensor::{LinkCounters, Reaction, Sensor, StreamFrame};
     use ftcal_firmware::session::{Session, hello};
     use ftcal_firmware::trial::SolveJob;
+    use ftcal_firmware::vitality::{Task, Vitality};
     use ftcal_shared::estimation::bins::Bins;
     use ftcal_shared::estimation::moments::higher_moment_count;
     use ftcal_shared::wire::{Request, RequestId, Response, ToDevice, ToHost};
@@ -48,7 +49,8 @@ mod app {
     use stm32f4xx_hal::pac::Interrupt;
 
     use crate::board::link::{Link, LinkQueues, Outbox};
-    use crate::board::{Converter, DataReady, set_up, time_base};
+    use crate::board::watchdog::Watchdog;
+    use crate::board::{Converter, DataReady, Start, set_up, time_base};
 
     /// Gages on the converter.
     const GAGES: usize = 8;
@@ -73,12 +75,15 @@ mod app {
         #[lock_free]
         frames: Producer<'static, StreamFrame>,
         dropped_frames: AtomicU32,
+        vitality: Vitality,
     }
 
     #[local]
     struct Local {
         link: Link,
         data_ready: DataReady,
+        watchdog: Watchdog,
+        start: Start,
         conversation: Conversation,
     }
 
@@ -111,6 +116,7 @@ mod app {
             outcome: None,
             frames: frames_in,
             dropped_frames: AtomicU32::new(0),
+            vitality: Vitality::new(),
         };
         let conversation = Conversation {
             session: Session::new(),
@@ -118,7 +124,14 @@ mod app {
             frames: frames_out,
             outbox: Outbox::new(to_send_in),
         };
-        (shared, Local { link: board.link, data_ready: board.data_ready, conversation })
+        let local = Local {
+            link: board.link,
+            data_ready: board.data_ready,
+            watchdog: board.watchdog,
+            start: board.start,
+            conversation,
+        };
+        (shared, local)
     }
 
     /// A byte came, or may go.
@@ -141,11 +154,17 @@ mod app {
     }
 
     /// Time passes.
-    #[task(binds = SysTick, priority = 3, shared = [sensor, frames, &dropped_frames])]
+    #[task(binds = SysTick, priority = 3, local = [watchdog], shared = [sensor, frames, &dropped_frames, &vitality])]
     fn tick(mut context: tick::Context) {
         time_base::follow();
+        context.shared.vitality.report(Task::Tick);
+        if context.shared.vitality.all_have_run() {
+            context.local.watchdog.feed();
+        }
         let frame = context.shared.sensor.lock(|sensor| sensor.tick(time_base::now(), &mut time_base::Delay));
         queue_frame(frame, context.shared.frames, context.shared.dropped_frames);
+        // So that the session can show that it is alive.
+        rtic::pend(Interrupt::TIM7);
     }
 
     fn queue_frame(frame: Option<StreamFrame>, frames: &mut Producer<'_, StreamFrame>, dropped: &AtomicU32) {
@@ -158,8 +177,14 @@ mod app {
 
     /// There is something to read, to answer or to send. One message at a time: the next is made when the one before is in
     /// the line's queue, and where that is full, when the link has emptied it.
-    #[task(binds = TIM7, priority = 2, local = [conversation], shared = [sensor, job, outcome, &dropped_frames])]
+    #[task(
+        binds = TIM7,
+        priority = 2,
+        local = [conversation, start],
+        shared = [sensor, job, outcome, &dropped_frames, &vitality]
+    )]
     fn session(mut context: session::Context) {
+        context.shared.vitality.report(Task::Session);
         while context.local.conversation.outbox.flush() {
             let Some(message) = next_message(&mut context) else { break };
             context.local.conversation.outbox.put(&message);
@@ -196,6 +221,7 @@ mod app {
         };
         match context.shared.sensor.lock(|sensor| sensor.answer(request, now, counters)) {
             Reaction::Respond(response) => Some(response),
+            Reaction::Diagnose => Some(Response::Diagnosis(context.local.start.diagnosis())),
             Reaction::Solve(job) => {
                 context.shared.job.lock(|waiting| *waiting = Some((id, job)));
                 None
@@ -204,9 +230,10 @@ mod app {
     }
 
     /// Solves trials, or sleeps. A job that comes just before the sleep waits for the next interrupt: 10 ms at most.
-    #[idle(shared = [sensor, job, outcome])]
+    #[idle(shared = [sensor, job, outcome, &vitality])]
     fn idle(mut context: idle::Context) -> ! {
         loop {
+            context.shared.vitality.report(Task::Background);
             let Some((id, mut job)) = context.shared.job.lock(Option::take) else {
                 cortex_m::asm::wfi();
                 continue;

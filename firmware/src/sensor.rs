@@ -41,6 +41,8 @@ pub enum Reaction<Store, const GAGES: usize, const HIGHER: usize> {
     /// Compute this in the background, send the outcome ([`SolveJob::response`]), and give the job back by
     /// [`Sensor::finish_solving`].
     Solve(SolveJob<Store, GAGES, HIGHER>),
+    /// Answer with the board's own [`Diagnosis`](ftcal_shared::wire::Diagnosis), which the sensor knows nothing of.
+    Diagnose,
 }
 
 /// What the link knows and the sensor reports in its status.
@@ -136,6 +138,7 @@ where
                 Ok(job) => return Reaction::Solve(job),
                 Err(rejection) => Err(rejection),
             },
+            Request::Diagnosis => return Reaction::Diagnose,
             Request::UploadCalibration(upload) => self.load(upload).map(|()| self.calibration_response()),
             Request::ReadCalibration => Ok(self.calibration_response()),
         };

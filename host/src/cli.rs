@@ -16,8 +16,8 @@ use clap::{Parser, Subcommand};
 #[cfg(unix)]
 use crate::commands::sim;
 use crate::commands::{
-    Failure, Streams, apply, calibrate, demo, eval, flash, info, ports, print_refusal, record, solve, stream,
-    trial, upload, verify,
+    Failure, Streams, apply, calibrate, demo, eval, flash, info, logs, ports, print_refusal, record, solve,
+    stream, trial, upload, verify,
 };
 
 /// Input that cannot be used.
@@ -71,6 +71,8 @@ pub enum Command {
     Sim(sim::Arguments),
     /// Write the firmware to the sensor through a debug probe.
     Flash(flash::Arguments),
+    /// Put the sensor's log into words.
+    Logs(logs::Arguments),
 }
 
 impl Command {
@@ -92,6 +94,7 @@ impl Command {
             #[cfg(unix)]
             Self::Sim(arguments) => sim::run(arguments, streams),
             Self::Flash(arguments) => flash::run(arguments, streams),
+            Self::Logs(arguments) => logs::run(arguments, streams),
         }
     }
 

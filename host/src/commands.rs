@@ -11,6 +11,7 @@ pub mod device;
 pub mod eval;
 pub mod flash;
 pub mod info;
+pub mod logs;
 pub mod output;
 pub mod ports;
 pub mod record;

@@ -9,6 +9,7 @@ pub mod demo;
 pub mod flash;
 pub mod gravity;
 pub mod link;
+pub mod logs;
 pub mod place;
 pub mod plots;
 pub mod recording;

@@ -23,11 +23,17 @@
 //! | [`link`] | bytes from and to the host |
 //! | `carrier` | the converter's bus and data-ready line: the only file in which the emulated image differs |
 //! | [`failure`] | what happens after a panic or a fault of the processor |
+//! | [`reset`] | what the last reset came from |
+//! | [`stack`] | how much of the stack is in use, and what happens where it is too small |
+//! | [`watchdog`] | a reset for a board that hangs |
 
 pub(crate) mod clocks;
 mod failure;
 pub(crate) mod link;
+mod reset;
+mod stack;
 pub(crate) mod time_base;
+pub(crate) mod watchdog;
 
 /// The converter's bus and data-ready line.
 #[cfg_attr(feature = "emulated", path = "tunnel_carrier.rs")]
@@ -38,12 +44,13 @@ pub(crate) use carrier::{Converter, DataReady};
 
 use cortex_m::peripheral::SYST;
 use cortex_m::peripheral::syst::SystClkSource;
-use ftcal_shared::wire::ClockSource;
+use ftcal_shared::wire::{ClockSource, Diagnosis, Failure, ResetCause};
 use stm32f4xx_hal::gpio::GpioExt;
 use stm32f4xx_hal::pac::Peripherals;
 use stm32f4xx_hal::rcc::Rcc;
 
 use link::{Link, LinkQueues};
+use watchdog::Watchdog;
 
 /// Ticks a second.
 const TICK_HERTZ: u32 = 100;
@@ -58,11 +65,36 @@ pub(crate) struct Board {
     pub(crate) converter: Converter,
     /// The converter's data-ready line.
     pub(crate) data_ready: DataReady,
+    /// Running already.
+    pub(crate) watchdog: Watchdog,
+    /// Why the board has started.
+    pub(crate) start: Start,
+}
+
+/// Why the board has started.
+#[derive(Clone, Debug)]
+pub(crate) struct Start {
+    reset: ResetCause,
+    failure: Option<Failure>,
+}
+
+impl Start {
+    /// What the board knows of itself by now.
+    pub(crate) fn diagnosis(&self) -> Diagnosis {
+        Diagnosis {
+            reset: self.reset,
+            failure: self.failure.clone(),
+            stack_used_bytes: stack::used(),
+            stack_bytes: stack::size(),
+        }
+    }
 }
 
 /// Sets everything up. Takes at most the time that the crystal is given to start; nothing here waits for the converter or the
 /// host.
 pub(crate) fn set_up(device: Peripherals, mut systick: SYST, queues: LinkQueues) -> Board {
+    let start = Start { reset: reset::take_cause(&device.RCC), failure: failure::take() };
+    let watchdog = Watchdog::start(device.IWDG);
     let (mut rcc, clock) = clocks::start(device.RCC, &mut systick);
     time_base::start(device.TIM2, carrier::timer_clock(&rcc.clocks), &mut rcc);
     let gpioa = device.GPIOA.split(&mut rcc);
@@ -71,7 +103,7 @@ pub(crate) fn set_up(device: Peripherals, mut systick: SYST, queues: LinkQueues)
     let (converter, data_ready) =
         carrier::connect(device.SPI2, device.USART3, gpiob, device.EXTI, device.SYSCFG, &mut rcc);
     start_ticking(systick, &rcc);
-    Board { clock, link, converter, data_ready }
+    Board { clock, link, converter, data_ready, watchdog, start }
 }
 
 /// An interrupt every 10 ms. (The emulator's processor clock is not the one that [`clocks`] finds, so there it comes ten times as

@@ -63,7 +63,7 @@ fn in_words(progress: StepProgress) -> String {
 }
 
 /// What to do about an error, next to what it is.
-fn explained(error: FlashError) -> Failure {
+pub(super) fn explained(error: FlashError) -> Failure {
     let remedy = match &error {
         FlashError::Image(ImageError::Unreadable { .. }) => "Check the path.",
         FlashError::Image(_) => {

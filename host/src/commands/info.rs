@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 
 use clap::Args;
-use ftcal_shared::wire::{AdcState, Hello, Status};
+use ftcal_shared::wire::{AdcState, Diagnosis, Hello, Status};
 use serde::Serialize;
 
 use super::device::DeviceArgs;
@@ -29,10 +29,12 @@ pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> 
     let mut client = arguments.device.connect()?;
     let hello = client.hello()?;
     let status = client.status()?;
+    let diagnosis = client.diagnosis()?;
     if arguments.json {
-        print_json(&Info::new(&hello, &status), streams.data)?;
+        print_json(&Info::new(&hello, &status, &diagnosis), streams.data)?;
     } else {
         write_words(streams.data, &hello, &status)?;
+        write_diagnosis(streams.data, &diagnosis)?;
     }
     Ok(())
 }
@@ -63,6 +65,21 @@ fn write_words(out: &mut dyn Write, hello: &Hello, status: &Status) -> io::Resul
     )
 }
 
+fn write_diagnosis(out: &mut dyn Write, diagnosis: &Diagnosis) -> io::Result<()> {
+    writeln!(out, "last reset   {}", words::reset_cause(diagnosis.reset))?;
+    if let Some(failure) = &diagnosis.failure {
+        writeln!(out, "after        {}", words::failure(failure))?;
+    }
+    if diagnosis.stack_bytes > 0 {
+        writeln!(
+            out,
+            "stack        {} of {} bytes used at most",
+            diagnosis.stack_used_bytes, diagnosis.stack_bytes
+        )?;
+    }
+    Ok(())
+}
+
 /// The same for scripts.
 #[derive(Serialize)]
 struct Info {
@@ -76,6 +93,15 @@ struct Info {
     calibration: Option<String>,
     trial: Trial,
     link: Link,
+    last_reset: &'static str,
+    failure: Option<String>,
+    stack: Stack,
+}
+
+#[derive(Serialize)]
+struct Stack {
+    used_bytes: u32,
+    bytes: u32,
 }
 
 #[derive(Serialize)]
@@ -113,7 +139,7 @@ struct Link {
 }
 
 impl Info {
-    fn new(hello: &Hello, status: &Status) -> Self {
+    fn new(hello: &Hello, status: &Status, diagnosis: &Diagnosis) -> Self {
         let (state, fault) = match status.adc {
             AdcState::Starting => ("starting", None),
             AdcState::Running => ("running", None),
@@ -149,6 +175,9 @@ impl Info {
                 unattended: status.trial.unattended,
             },
             link: Link { dropped_frames: status.dropped_frames, broken_frames: status.broken_frames },
+            last_reset: words::reset_cause(diagnosis.reset),
+            failure: diagnosis.failure.as_ref().map(words::failure),
+            stack: Stack { used_bytes: diagnosis.stack_used_bytes, bytes: diagnosis.stack_bytes },
         }
     }
 }

@@ -43,6 +43,9 @@ pub struct Arguments {
     /// Run this image of the firmware in QEMU instead of the firmware's code compiled for this machine
     #[arg(long, value_name = "IMAGE", conflicts_with = "rate")]
     emulator: Option<PathBuf>,
+    /// Write what the image logs to this file; `ftcal logs` puts it into words
+    #[arg(long, value_name = "FILE", requires = "emulator")]
+    logs: Option<PathBuf>,
 }
 
 /// How often a running emulator looks whether it is to stop.
@@ -85,7 +88,8 @@ fn run_image(
     streams: &mut Streams,
 ) -> Result<(), Failure> {
     let bench = SharedBench::new(Bench::new(scenario.sensor.clone(), arguments.seed));
-    let emulator = Emulator::start(image, bench.clone(), Pace::RealTime).map_err(Failure::input)?;
+    let emulator = Emulator::start(image, bench.clone(), Pace::RealTime, arguments.logs.as_deref())
+        .map_err(Failure::input)?;
     let _link = announce(arguments, scenario, &bench, emulator.link(), streams)?;
     let gages = scenario.sensor.gages();
     if gages < IMAGE_GAGES {

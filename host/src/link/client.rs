@@ -12,8 +12,8 @@ use std::time::Duration;
 use ftcal_shared::units::{DataRate, Gain};
 use ftcal_shared::wire::frame::{Decoder, END_OF_FRAME, encode};
 use ftcal_shared::wire::{
-    AdcState, CalibrationUpload, Coverage, Hello, PRODUCT, PROTOCOL_VERSION, Request, RequestId, Response,
-    Solution, Status, StreamKind, ToDevice, ToHost, TrialStatus,
+    AdcState, CalibrationUpload, Coverage, Diagnosis, Hello, PRODUCT, PROTOCOL_VERSION, Request, RequestId,
+    Response, Solution, Status, StreamKind, ToDevice, ToHost, TrialStatus,
 };
 
 use super::error::{ClientError, LinkError};
@@ -135,6 +135,18 @@ impl<Line: Transport> Client<Line> {
     pub fn status(&mut self) -> Result<Status, ClientError> {
         match self.request(Request::Status, ANSWER)? {
             Response::Status(status) => Ok(status),
+            _ => Err(LinkError::UnexpectedResponse.into()),
+        }
+    }
+
+    /// Why did you start, and how much room have you left?
+    ///
+    /// # Errors
+    ///
+    /// [`ClientError`].
+    pub fn diagnosis(&mut self) -> Result<Diagnosis, ClientError> {
+        match self.request(Request::Diagnosis, ANSWER)? {
+            Response::Diagnosis(diagnosis) => Ok(diagnosis),
             _ => Err(LinkError::UnexpectedResponse.into()),
         }
     }
@@ -412,6 +424,7 @@ const fn is_safe_to_repeat(request: &Request) -> bool {
         | Request::Stream(_)
         | Request::StopTrial
         | Request::TrialStatus
+        | Request::Diagnosis
         | Request::UploadCalibration(_)
         | Request::ReadCalibration => true,
         Request::StartTrial { .. } | Request::SolveTrial | Request::Coverage => false,

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use ftcal_shared::fault::AdcFault;
-use ftcal_shared::wire::{AdcState, ClockSource, Rejection, TrialPhase, TrialStatus};
+use ftcal_shared::wire::{AdcState, ClockSource, Failure, Rejection, ResetCause, TrialPhase, TrialStatus};
 
 use super::frame::NoWrench;
 use super::remedy;
@@ -101,6 +101,30 @@ pub const fn clock_source(clock: ClockSource) -> &'static str {
             "internal oscillator, because the crystal did not start: times are off by up to a per cent"
         }
         ClockSource::Simulated => "simulated",
+    }
+}
+
+/// What a reset came from.
+pub const fn reset_cause(cause: ResetCause) -> &'static str {
+    match cause {
+        ResetCause::Unknown => "not known",
+        ResetCause::PowerOn => "power came",
+        ResetCause::BrownOut => "the supply fell too low: check it under load",
+        ResetCause::Pin => "the reset pin",
+        ResetCause::Watchdog => "the watchdog: a task hung; report it, with the log (`ftcal logs`)",
+        ResetCause::Software => "the firmware itself",
+    }
+}
+
+/// What made the firmware give up.
+pub fn failure(failure: &Failure) -> String {
+    match failure {
+        Failure::Panic { file, line } => format!("a panic at {file}:{line}; report it"),
+        Failure::ProcessorFault { at } => format!("a fault of the processor at {at:#010x}; report it"),
+        Failure::StackOverflow => "the stack had no more room; report it".to_owned(),
+        Failure::UnservedInterrupt { number } => {
+            format!("interrupt {number} came, which nobody serves; report it")
+        }
     }
 }
 

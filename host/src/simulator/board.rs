@@ -23,7 +23,9 @@ use ftcal_shared::estimation::bins::Bins;
 use ftcal_shared::estimation::moments::higher_moment_count;
 use ftcal_shared::units::DeviceTime;
 use ftcal_shared::wire::frame::encode;
-use ftcal_shared::wire::{ClockSource, Request, RequestId, ToDevice, ToHost};
+use ftcal_shared::wire::{
+    ClockSource, Diagnosis, Request, RequestId, ResetCause, Response, ToDevice, ToHost,
+};
 use thiserror::Error;
 
 use super::bench::Bench;
@@ -39,6 +41,10 @@ const TICK_MICROS: u64 = 5_000;
 const LINE_BUFFER: usize = 4096;
 /// Bits on the line for each byte: a start bit, eight of data, a stop bit.
 const BITS_PER_BYTE: u64 = 10;
+
+/// What a simulated board knows of itself: it never fails, and its stack is that of the simulator.
+const DIAGNOSIS: Diagnosis =
+    Diagnosis { reset: ResetCause::Unknown, failure: None, stack_used_bytes: 0, stack_bytes: 0 };
 
 /// A board of any number of gages.
 pub trait Board: Send {
@@ -174,6 +180,7 @@ impl<const GAGES: usize, const HIGHER: usize> GageBoard<GAGES, HIGHER> {
         match self.sensor.answer(request, self.now(), counters) {
             Reaction::Respond(response) => self.line.send(&ToHost::Response(id, response)),
             Reaction::Solve(job) => self.solving = Some((id, job)),
+            Reaction::Diagnose => self.line.send(&ToHost::Response(id, Response::Diagnosis(DIAGNOSIS))),
         }
     }
 

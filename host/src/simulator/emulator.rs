@@ -60,7 +60,7 @@ pub struct Emulator {
 }
 
 impl Emulator {
-    /// Starts the emulated image with this converter.
+    /// Starts the emulated image with this converter; what it logs goes to the file `logs`, if there is one.
     ///
     /// # Errors
     ///
@@ -69,6 +69,7 @@ impl Emulator {
         image: &Path,
         mut converter: impl TunnelledConverter + Send + 'static,
         pace: Pace,
+        logs: Option<&Path>,
     ) -> Result<Self, EmulatorError> {
         if !image.is_file() {
             return Err(EmulatorError::NoImage { path: image.to_owned() });
@@ -82,6 +83,8 @@ impl Emulator {
                 .args(["-machine", "netduinoplus2", "-kernel"])
                 .arg(image)
                 .args(["-display", "none", "-monitor", "none"])
+                .args(["-chardev", &log_device(logs)])
+                .args(["-semihosting-config", "enable=on,target=native,chardev=logs"])
                 .args(["-chardev", "socket,id=tunnel,fd=0"])
                 .args(["-serial", "null", "-serial", "pty", "-serial", "chardev:tunnel"])
                 .stdin(OwnedFd::from(board_end))
@@ -117,6 +120,13 @@ impl Drop for Emulator {
             let _ = tunnel.join();
         }
     }
+}
+
+/// What QEMU makes of the log. It takes a comma for the end of a name, and two for a comma in it.
+fn log_device(logs: Option<&Path>) -> String {
+    logs.map_or("null,id=logs".to_owned(), |path| {
+        format!("file,id=logs,path={}", path.display().to_string().replace(',', ",,"))
+    })
 }
 
 /// Reads what QEMU says until it names the pseudo-terminal. Ends with the machine at the latest.

@@ -10,10 +10,10 @@ use crate::units::{AdcCode, Dof, MAX_DOF};
 #[derive(Clone, Debug, PartialEq)]
 pub struct RealTimeCalibration<const GAGES: usize> {
     dof: Dof,
-    /// C (m × p), newton and newton metre per count; rows beyond the sensor's degrees of freedom are zero and unread.
-    matrix: [[f32; GAGES]; MAX_DOF],
-    /// The whole part of the bias, counts.
-    pivot: [i32; GAGES],
+    /// The columns of C (m × p), newton and newton metre per count; rows beyond the sensor's degrees of freedom are zero.
+    columns: [[f32; MAX_DOF]; GAGES],
+    /// The whole part of the bias, counts: 24 bits, which single precision holds exactly.
+    pivot: [f32; GAGES],
     /// −C·(fraction of the bias), newton and newton metre.
     offset: [f32; MAX_DOF],
 }
@@ -48,19 +48,22 @@ impl<const GAGES: usize> RealTimeCalibration<GAGES> {
             return Err(UnusableCalibration::BiasOutOfRange);
         }
         let mut prepared =
-            Self { dof, matrix: [[0.0; GAGES]; MAX_DOF], pivot: [0; GAGES], offset: [0.0; MAX_DOF] };
-        for (row, elements) in prepared.matrix.iter_mut().zip(matrix.chunks_exact(GAGES)) {
-            row.copy_from_slice(elements);
+            Self { dof, columns: [[0.0; MAX_DOF]; GAGES], pivot: [0.0; GAGES], offset: [0.0; MAX_DOF] };
+        for (row, elements) in matrix.chunks_exact(GAGES).enumerate() {
+            for (column, element) in prepared.columns.iter_mut().zip(elements) {
+                column[row] = *element;
+            }
         }
         let mut fraction = [0.0_f64; GAGES];
         for gage in 0..GAGES {
             #[expect(clippy::cast_possible_truncation, reason = "inside of the converter's range, see above")]
             let whole = bias_counts[gage] as i32;
-            prepared.pivot[gage] = whole;
+            prepared.pivot[gage] = whole as f32;
             fraction[gage] = bias_counts[gage] - f64::from(whole);
         }
-        for (offset, row) in prepared.offset.iter_mut().zip(&prepared.matrix) {
-            let exact: f64 = row.iter().zip(&fraction).map(|(c, part)| f64::from(*c) * part).sum();
+        for (row, offset) in prepared.offset.iter_mut().enumerate() {
+            let columns = prepared.columns.iter().zip(&fraction);
+            let exact: f64 = columns.map(|(column, part)| f64::from(column[row]) * part).sum();
             #[expect(clippy::cast_possible_truncation, reason = "rounded to the precision of the wrench")]
             {
                 *offset = -exact as f32;
@@ -77,16 +80,20 @@ impl<const GAGES: usize> RealTimeCalibration<GAGES> {
     /// The wrench of one sample, in the sensor frame: newton and newton metre in the order of [`Dof::axes`]; elements
     /// beyond the sensor's degrees of freedom are zero.
     pub fn apply(&self, codes: &[AdcCode; GAGES]) -> [f32; MAX_DOF] {
-        // At most 25 bits; the conversion rounds by 2⁻²⁵ of the value.
-        let difference: [f32; GAGES] =
-            core::array::from_fn(|gage| (codes[gage].counts() - self.pivot[gage]) as f32);
-        let mut wrench = self.offset;
-        // Rows beyond the degrees of freedom are zero: to leave them out would cost more than to take them along.
-        for (component, row) in wrench.iter_mut().zip(&self.matrix) {
-            for gage in 0..GAGES {
-                *component += row[gage] * difference[gage];
-            }
+        // Component by component, and not as a loop: see `monomials`. Rows beyond the degrees of freedom are zero: to leave
+        // them out would cost more than to take them along.
+        let [mut a, mut b, mut c, mut d, mut e, mut f] = self.offset;
+        for (column, (code, pivot)) in self.columns.iter().zip(codes.iter().zip(&self.pivot)) {
+            // Of two numbers of 24 bits: exact, or rounded by 2⁻²⁵ of its value.
+            let difference = code.counts() as f32 - pivot;
+            let [of_a, of_b, of_c, of_d, of_e, of_f] = *column;
+            a += of_a * difference;
+            b += of_b * difference;
+            c += of_c * difference;
+            d += of_d * difference;
+            e += of_e * difference;
+            f += of_f * difference;
         }
-        wrench
+        [a, b, c, d, e, f]
     }
 }

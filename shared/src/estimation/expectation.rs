@@ -44,9 +44,9 @@ pub struct Expectation<const GAGES: usize> {
     /// The sum of a block with no load, rounded: an eighth of a count of its mean at most.
     pivot: [i32; GAGES],
     /// C (r × p) over the samples of a block, per unit load; rows beyond the rank are zero.
-    to_load: [[f32; GAGES]; LARGEST_RANK],
+    to_load: [[f32; LARGEST_RANK]; GAGES],
     /// S (r × p) times the samples of a block, counts per unit load; rows beyond the rank are zero.
-    shape: [[f32; GAGES]; LARGEST_RANK],
+    shape: [[f32; LARGEST_RANK]; GAGES],
     /// The largest ‖e‖² for the sum of a block, counts²; infinite where nothing is redundant.
     largest_parity: f32,
     /// The largest change of |m|².
@@ -80,8 +80,8 @@ impl<const GAGES: usize> Expectation<GAGES> {
             LARGEST_DEVIATION * libm::sqrt(variance) + SHARE_OF_WORST * solution.uncertainty.worst_relative();
         let mut expected = Self {
             pivot: [0; GAGES],
-            to_load: [[0.0; GAGES]; LARGEST_RANK],
-            shape: [[0.0; GAGES]; LARGEST_RANK],
+            to_load: [[0.0; LARGEST_RANK]; GAGES],
+            shape: [[0.0; LARGEST_RANK]; GAGES],
             largest_parity: largest_parity(solution),
             #[expect(clippy::cast_possible_truncation, reason = "a limit needs three digits")]
             largest_change: change as f32,
@@ -90,8 +90,8 @@ impl<const GAGES: usize> Expectation<GAGES> {
         for gage in 0..GAGES {
             expected.pivot[gage] = libm::round(SAMPLES * solution.bias_counts[gage]) as i32;
             for row in 0..RANK.min(LARGEST_RANK) {
-                expected.to_load[row][gage] = (solution.to_load[(row, gage)] / SAMPLES) as f32;
-                expected.shape[row][gage] = (solution.shape_counts_per_load[(row, gage)] * SAMPLES) as f32;
+                expected.to_load[gage][row] = (solution.to_load[(row, gage)] / SAMPLES) as f32;
+                expected.shape[gage][row] = (solution.shape_counts_per_load[(row, gage)] * SAMPLES) as f32;
             }
         }
         Ok(Some(expected))
@@ -103,21 +103,18 @@ impl<const GAGES: usize> Expectation<GAGES> {
         // no load.
         let signal: [f32; GAGES] =
             core::array::from_fn(|gage| sum[gage].wrapping_sub(self.pivot[gage]) as f32);
-        let mut load = [0.0; LARGEST_RANK];
-        for (component, row) in load.iter_mut().zip(&self.to_load) {
-            for gage in 0..GAGES {
-                *component += row[gage] * signal[gage];
-            }
+        let [mut x, mut y, mut z] = [0.0; LARGEST_RANK];
+        for (signal, [to_x, to_y, to_z]) in signal.iter().zip(&self.to_load) {
+            x += to_x * signal;
+            y += to_y * signal;
+            z += to_z * signal;
         }
         let mut parity = 0.0;
-        for gage in 0..GAGES {
-            let mut rest = signal[gage];
-            for (component, row) in load.iter().zip(&self.shape) {
-                rest -= component * row[gage];
-            }
+        for (signal, [of_x, of_y, of_z]) in signal.iter().zip(&self.shape) {
+            let rest = signal - of_x * x - of_y * y - of_z * z;
             parity += rest * rest;
         }
-        let squared: f32 = load.iter().map(|component| component * component).sum();
+        let squared = x * x + y * y + z * z;
         if parity > self.largest_parity {
             Meets::Neither
         } else if (squared - 1.0).abs() > self.largest_change {

@@ -129,6 +129,9 @@ pub struct Gate<const GAGES: usize> {
     blocks: [Block<GAGES>; WINDOW],
     complete: u32,
     filled: usize,
+    /// A block that is to be classed with the next sample, which is the first of a block of its own and has little to do.
+    due: Option<u32>,
+    handing_out: HandingOut,
     /// The curvature that a tenth of all blocks stays below, counts²; zero until there is one.
     noise: f32,
     /// The change that half of the moving blocks stay below, counts²; zero until there is one.
@@ -145,6 +148,18 @@ pub struct Gate<const GAGES: usize> {
     /// Blocks that were classed, and how often the class has changed.
     classed: u32,
     changes: u32,
+}
+
+/// A classed block on its way out, one sample with each that comes in: what takes them has much to do.
+#[derive(Clone, Copy, Debug)]
+struct HandingOut {
+    place: usize,
+    next: usize,
+    quietness: Quietness,
+}
+
+impl HandingOut {
+    const DONE: Self = Self { place: 0, next: BLOCK, quietness: Quietness::Fast };
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -168,24 +183,22 @@ impl<const GAGES: usize> Block<GAGES> {
     };
 
     /// Sums up the full block, and gives the smallest change of a code from its first sample to the second or from the third
-    /// to the last: `i32::MAX` where there was none.
-    fn complete(&mut self) -> i32 {
+    /// to the last: `None` where there was none.
+    fn complete(&mut self) -> Option<i32> {
         let [a, b, c, d] = &self.codes;
-        self.curvature = 0.0;
-        let mut step = i32::MAX;
+        let mut curvature = 0.0;
+        // Less one, so that no change at all is the largest.
+        let mut least = u32::MAX;
         for gage in 0..GAGES {
-            let [a, b, c, d] = [a, b, c, d].map(|codes| codes[gage].counts());
+            let (a, b, c, d) = (a[gage].counts(), b[gage].counts(), c[gage].counts(), d[gage].counts());
             self.sum[gage] = (a + b) + (c + d);
             let (first, middle, last) = (b - a, c - b, d - c);
             let (early, late) = ((middle - first) as f32, (last - middle) as f32);
-            self.curvature += early * early + late * late;
-            for change in [first, last] {
-                if change != 0 {
-                    step = step.min(change.abs());
-                }
-            }
+            curvature += early * early + late * late;
+            least = least.min(first.unsigned_abs().wrapping_sub(1)).min(last.unsigned_abs().wrapping_sub(1));
         }
-        step
+        self.curvature = curvature;
+        i32::try_from(least).ok().map(|less_one| less_one + 1)
     }
 
     /// ‖s − s'‖², counts².
@@ -215,6 +228,8 @@ impl<const GAGES: usize> Gate<GAGES> {
             blocks: [Block::EMPTY; WINDOW],
             complete: 0,
             filled: 0,
+            due: None,
+            handing_out: HandingOut::DONE,
             noise: 0.0,
             usual_change: 0.0,
             moving: 0,
@@ -254,16 +269,20 @@ impl<const GAGES: usize> Gate<GAGES> {
         self.rest_noise.channels(self.step)
     }
 
-    /// Takes in one sample; `take` gets the earlier samples that are classed by it, in their order.
+    /// Takes in one sample; `take` gets at most one earlier sample, in the order in which they came, and its class.
     pub fn offer(
         &mut self,
         codes: &[AdcCode; GAGES],
         take: &mut impl FnMut(Quietness, &[AdcCode; GAGES]),
     ) -> Verdict {
+        if let Some(number) = self.due.take() {
+            self.release(number, number + REACH);
+        }
+        self.hand_out_next(take);
         if codes.iter().any(|code| code.is_saturated()) {
             return Verdict::Saturated;
         }
-        if self.is_suspicious_repetition(codes) {
+        if self.repeats(codes) && self.is_suspicious() {
             return Verdict::Repeated;
         }
         let block = &mut self.blocks[self.complete as usize % WINDOW];
@@ -273,8 +292,7 @@ impl<const GAGES: usize> Gate<GAGES> {
             return Verdict::Accepted;
         }
         self.filled = 0;
-        let least_change = block.complete();
-        if least_change < i32::MAX && (self.step == 0 || least_change < self.step) {
+        if let Some(least_change) = block.complete().filter(|&least| self.step == 0 || least < self.step) {
             self.step = least_change;
         }
         let meets = self.expectation.as_ref().map_or(Meets::Both, |expected| expected.judge(&block.sum));
@@ -285,34 +303,43 @@ impl<const GAGES: usize> Gate<GAGES> {
         let newest = self.complete;
         self.block_mut(newest).step = self.block(newest).distance(self.block(newest.saturating_sub(1)));
         self.complete = self.complete.wrapping_add(1);
-        if let Some(number) = newest.checked_sub(REACH) {
-            self.release(number, newest, take);
-        }
+        self.due = newest.checked_sub(REACH);
         Verdict::Accepted
     }
 
     /// Hands out the samples that still wait, classed by what there is. What was learnt of the noise stays.
     pub fn finish(&mut self, take: &mut impl FnMut(Quietness, &[AdcCode; GAGES])) {
+        self.hand_out_rest(take);
         if let Some(newest) = self.complete.checked_sub(1) {
-            for number in (newest + 1).saturating_sub(REACH)..=newest {
-                self.release(number, newest, take);
+            let first = self.due.take().unwrap_or((newest + 1).saturating_sub(REACH));
+            for number in first..=newest {
+                self.release(number, newest);
+                self.hand_out_rest(take);
             }
         }
         // Too few for a block: they go with the block before.
         let last = self.complete as usize % WINDOW;
-        self.blocks[last].off_magnitude = false;
-        self.hand_out(last, self.filled, take);
+        for codes in self.blocks[last].codes.iter().take(self.filled) {
+            take(self.latest, codes);
+        }
         (self.complete, self.filled) = (0, 0);
         (self.last, self.repeats) = (None, 0);
     }
 
-    fn is_suspicious_repetition(&mut self, codes: &[AdcCode; GAGES]) -> bool {
-        if self.last.as_ref() != Some(codes) {
+    /// Whether this is the sample before, once more; keeps count.
+    fn repeats(&mut self, codes: &[AdcCode; GAGES]) -> bool {
+        let same = self.last.as_ref() == Some(codes);
+        if same {
+            self.repeats = self.repeats.saturating_add(1);
+        } else {
             self.last = Some(*codes);
             self.repeats = 0;
-            return false;
         }
-        self.repeats = self.repeats.saturating_add(1);
+        same
+    }
+
+    /// Whether so many repetitions in a row are more than the noise allows.
+    fn is_suspicious(&self) -> bool {
         self.repeats > ALLOWED_REPEATS && self.noise > 0.0 && self.noise >= self.noise_level(UNREPEATABLE)
     }
 
@@ -322,8 +349,8 @@ impl<const GAGES: usize> Gate<GAGES> {
         LOW_TENTH * CURVATURE_OF_NOISE * GAGES as f32 * variance * step * step
     }
 
-    /// Classes block `number` and hands out its samples.
-    fn release(&mut self, number: u32, newest: u32, take: &mut impl FnMut(Quietness, &[AdcCode; GAGES])) {
+    /// Classes block `number`, whose samples go out next.
+    fn release(&mut self, number: u32, newest: u32) {
         let class = self.class(number, newest);
         self.classed = self.classed.saturating_add(1);
         if class != self.latest {
@@ -331,27 +358,29 @@ impl<const GAGES: usize> Gate<GAGES> {
         }
         self.latest = class;
         let place = number as usize % WINDOW;
-        if self.latest == Quietness::Still {
-            self.rest_noise.take(&self.blocks[place].codes);
+        let block = &self.blocks[place];
+        if class == Quietness::Still {
+            self.rest_noise.take(&block.codes);
         }
-        self.hand_out(place, BLOCK, take);
-    }
-
-    /// Hands out the first samples of a block, in its class.
-    fn hand_out(
-        &mut self,
-        place: usize,
-        samples: usize,
-        take: &mut impl FnMut(Quietness, &[AdcCode; GAGES]),
-    ) {
-        let Block { codes, off_magnitude, .. } = &self.blocks[place];
-        let mut quietness = self.latest;
-        if *off_magnitude && quietness != Quietness::Fast {
+        let mut quietness = class;
+        if block.off_magnitude && class != Quietness::Fast {
             self.off_magnitude = self.off_magnitude.saturating_add(BLOCK_SAMPLES);
             quietness = Quietness::Fast;
         }
-        for codes in codes.iter().take(samples) {
-            take(quietness, codes);
+        self.handing_out = HandingOut { place, next: 0, quietness };
+    }
+
+    fn hand_out_next(&mut self, take: &mut impl FnMut(Quietness, &[AdcCode; GAGES])) {
+        let HandingOut { place, next, quietness } = &mut self.handing_out;
+        if let Some(codes) = self.blocks[*place].codes.get(*next) {
+            *next += 1;
+            take(*quietness, codes);
+        }
+    }
+
+    fn hand_out_rest(&mut self, take: &mut impl FnMut(Quietness, &[AdcCode; GAGES])) {
+        while self.handing_out.next < BLOCK {
+            self.hand_out_next(take);
         }
     }
 

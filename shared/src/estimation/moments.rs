@@ -13,14 +13,16 @@
 //!   shape is. They are added in `f32`, the only floating point that the sensor has in hardware, with compensation for
 //!   what each addition rounds away (Kahan): the error of such a sum is 2u + O(N u²) of the sum of the magnitudes,
 //!   u = 2⁻²⁴, so that the second term stays below 10⁻⁶ for N = 2²⁸ batches. What remains is the rounding of the products
-//!   themselves, about 5·10⁻⁸ of a batch and independent from batch to batch: 5·10⁻⁸/√(n/8) of the sum. The differences
+//!   themselves, about 5·10⁻⁸ of a batch and independent from batch to batch: 4·10⁻⁸/√(n/16) of the sum. The differences
 //!   are taken in units of 2¹² counts, so that the largest sum that can come about, 2³² fourth powers of 25 bits, has 84.
 //!
 //! # Speed
 //!
-//! Samples are absorbed in batches of [`BATCH`], so that each accumulator is loaded and stored once a batch. A batch
-//! that is settled before it is full is filled up with zeros, which add nothing to any sum. `tests/speed` counts the
-//! instructions on the target.
+//! Samples are absorbed in batches of [`BATCH`], so that each accumulator is loaded and stored once a batch. No sample may take
+//! much longer than another, so that a full batch is absorbed while the next one fills: with each sample a share of the pairs
+//! of channels, products of two and all monomials that begin with them. The shares are as equal as pairs allow. A batch that
+//! is settled before it is full is filled up with zeros, which add nothing to any sum. `tests/speed` counts the instructions on the
+//! target.
 //!
 //! # Algebra
 //!
@@ -28,12 +30,12 @@
 //! matrix and to rounding for the rest. A trial can thus be cut and resumed.
 
 use super::code_sums::{CodeSums, MAX_SAMPLES};
-use super::monomials::{Compensated, add_higher_monomials};
+use super::monomials::{Compensated, HALF, Lanes, add_monomials_of_pair, monomials_of_pair};
 use crate::refusal::Refusal;
 use crate::units::{AdcCode, MAX_GAGES};
 
 /// Samples absorbed at once.
-pub const BATCH: usize = 8;
+pub const BATCH: usize = 2 * HALF;
 
 /// The unit of the differences in single precision, counts: a power of two, which rounds nothing.
 pub(super) const UNIT: f32 = 4096.0;
@@ -42,7 +44,7 @@ pub(super) const UNIT: f32 = 4096.0;
 pub const BLOCK: usize = 8192;
 
 /// The same in batches.
-#[expect(clippy::cast_possible_truncation, reason = "1024")]
+#[expect(clippy::cast_possible_truncation, reason = "512")]
 const BATCHES_PER_BLOCK: u16 = (BLOCK / BATCH) as u16;
 
 /// The number of monomials of degree 3 and 4 in this many variables: C(p+2, 3) + C(p+3, 4).
@@ -50,6 +52,40 @@ pub const fn higher_moment_count(gages: usize) -> usize {
     let cubic = gages * (gages + 1) * (gages + 2) / 6;
     let quartic = gages * (gages + 1) * (gages + 2) * (gages + 3) / 24;
     cubic + quartic
+}
+
+/// What absorbing a pair of channels takes, in monomials: those that begin with it, and as much as three for its product of
+/// two and for turning to it.
+const fn weight(gages: usize, second: usize) -> usize {
+    monomials_of_pair(gages - second) + 3
+}
+
+/// How many shares of at most `most` all pairs make, taken in order.
+const fn shares(gages: usize, most: usize) -> usize {
+    let (mut shares, mut taken) = (1, 0);
+    let mut first = 0;
+    while first < gages {
+        let mut second = first;
+        while second < gages {
+            let weight = weight(gages, second);
+            if taken + weight > most {
+                (shares, taken) = (shares + 1, 0);
+            }
+            taken += weight;
+            second += 1;
+        }
+        first += 1;
+    }
+    shares
+}
+
+/// The least that each of [`BATCH`] shares must be allowed, so that they hold all pairs.
+const fn least_share(gages: usize) -> usize {
+    let mut most = weight(gages, 0);
+    while shares(gages, most) > BATCH {
+        most += 1;
+    }
+    most
 }
 
 /// The sums of one trial over `GAGES` channels, about an integer pivot.
@@ -62,7 +98,28 @@ pub struct Moments<const GAGES: usize, const HIGHER: usize> {
     /// Σ ΔᵢΔⱼΔₖ and Σ ΔᵢΔⱼΔₖΔₗ for i ≤ j ≤ k ≤ l, in the order of `for_each_higher_monomial`, with Δ in [`UNIT`]s.
     higher: [Compensated; HIGHER],
     block: Block<GAGES>,
-    batch: Batch<GAGES>,
+    /// The one that fills, and the one that is being absorbed.
+    batches: [Batch<GAGES>; 2],
+    /// Which of them fills.
+    filling: usize,
+    absorption: Absorption,
+}
+
+/// How far the full batch is absorbed.
+#[derive(Clone, Copy, Debug)]
+struct Absorption {
+    /// The next pair of channels, first ≤ second; beyond the last channel when all is done.
+    pair: (usize, usize),
+    /// Where its monomials begin among the higher sums.
+    place: usize,
+    /// Whether the block ends with this batch.
+    spills: bool,
+}
+
+impl Absorption {
+    const fn done(gages: usize) -> Self {
+        Self { pair: (gages, gages), place: 0, spills: false }
+    }
 }
 
 /// The products since the last spill.
@@ -76,25 +133,29 @@ struct Block<const GAGES: usize> {
 #[derive(Clone, Debug)]
 struct Batch<const GAGES: usize> {
     samples: usize,
-    difference: [[i32; BATCH]; GAGES],
+    difference: [[[i32; HALF]; 2]; GAGES],
     /// The same in single precision, in [`UNIT`]s. At most 25 bits: rounded by 2⁻²⁵ of its value, far below what degree 3
     /// and 4 need.
-    rounded: [[f32; BATCH]; GAGES],
+    rounded: [Lanes; GAGES],
 }
 
 impl<const GAGES: usize> Batch<GAGES> {
-    const EMPTY: Self = Self { samples: 0, difference: [[0; BATCH]; GAGES], rounded: [[0.0; BATCH]; GAGES] };
+    const EMPTY: Self =
+        Self { samples: 0, difference: [[[0; HALF]; 2]; GAGES], rounded: [[[0.0; HALF]; 2]; GAGES] };
 
     /// Puts zeros where no sample is yet: what the batch before has left there.
     fn clear_rest(&mut self) {
         for (channel, rounded) in self.difference.iter_mut().zip(&mut self.rounded) {
-            channel[self.samples..].fill(0);
-            rounded[self.samples..].fill(0.0);
+            channel.as_flattened_mut()[self.samples..].fill(0);
+            rounded.as_flattened_mut()[self.samples..].fill(0.0);
         }
     }
 }
 
 impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
+    /// What one sample absorbs of the batch before, at most.
+    const SHARE: usize = least_share(GAGES);
+
     const DIMENSIONS_AGREE: () =
         assert!(HIGHER == higher_moment_count(GAGES) && 2 <= GAGES && GAGES <= MAX_GAGES);
 
@@ -105,7 +166,9 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
             codes: CodeSums::new(pivot),
             higher: [Compensated::ZERO; HIGHER],
             block: Block { batches: 0, gram: [[0; GAGES]; GAGES] },
-            batch: Batch::EMPTY,
+            batches: [Batch::EMPTY; 2],
+            filling: 0,
+            absorption: Absorption::done(GAGES),
         }
     }
 
@@ -115,7 +178,8 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
         self.higher = [Compensated::ZERO; HIGHER];
         self.block.batches = 0;
         self.block.gram = [[0; GAGES]; GAGES];
-        self.batch = Batch::EMPTY;
+        self.batches = [Batch::EMPTY; 2];
+        self.absorption = Absorption::done(GAGES);
     }
 
     /// The codes about which the sums are taken.
@@ -137,16 +201,19 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
         if self.codes.count >= MAX_SAMPLES {
             return Err(Refusal::OverflowAhead { samples: self.codes.count });
         }
-        let slot = self.batch.samples;
+        let batch = &mut self.batches[self.filling];
+        let (half, lane) = (batch.samples / HALF, batch.samples % HALF);
         for gage in 0..GAGES {
             let difference = codes[gage].counts() - self.codes.pivot[gage].counts();
-            self.batch.difference[gage][slot] = difference;
-            self.batch.rounded[gage][slot] = difference as f32 * (1.0 / UNIT);
+            batch.difference[gage][half][lane] = difference;
+            batch.rounded[gage][half][lane] = difference as f32 * (1.0 / UNIT);
         }
+        batch.samples += 1;
+        let full = batch.samples == BATCH;
         self.codes.count += 1;
-        self.batch.samples += 1;
-        if self.batch.samples == BATCH {
-            self.absorb_batch();
+        self.absorb_share(Self::SHARE);
+        if full {
+            self.begin_absorption();
         }
         Ok(())
     }
@@ -171,9 +238,12 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
     /// Brings every sample taken in so far into the long sums. To be called before any of the readings below; taking
     /// in more samples afterwards is fine.
     pub fn settle(&mut self) {
-        if self.batch.samples > 0 {
-            self.batch.clear_rest();
-            self.absorb_batch();
+        self.absorb_share(usize::MAX);
+        let batch = &mut self.batches[self.filling];
+        if batch.samples > 0 {
+            batch.clear_rest();
+            self.begin_absorption();
+            self.absorb_share(usize::MAX);
         }
         self.spill_block();
     }
@@ -188,27 +258,51 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
         &self.higher
     }
 
-    fn absorb_batch(&mut self) {
-        for i in 0..GAGES {
-            let left = &self.batch.difference[i];
-            // Eight differences of 25 bits have 28.
-            self.codes.sum[i] += i64::from(left.iter().sum::<i32>());
-            for j in i..GAGES {
-                let right = &self.batch.difference[j];
-                let mut products = 0_i64;
-                for lane in 0..BATCH {
-                    products += i64::from(left[lane]) * i64::from(right[lane]);
-                }
-                self.block.gram[i][j] += products;
+    /// Turns to the other batch, and to absorbing this one. The one before has been absorbed by then: there were as many samples
+    /// as there are shares.
+    fn begin_absorption(&mut self) {
+        self.filling = 1 - self.filling;
+        self.batches[self.filling].samples = 0;
+        self.block.batches += 1;
+        let spills = self.block.batches == BATCHES_PER_BLOCK;
+        if spills {
+            self.block.batches = 0;
+        }
+        self.absorption = Absorption { pair: (0, 0), place: 0, spills };
+    }
+
+    /// Absorbs as many pairs of channels as do not exceed this share.
+    fn absorb_share(&mut self, most: usize) {
+        let batch = &self.batches[1 - self.filling];
+        let Absorption { pair: (mut i, mut j), mut place, spills } = self.absorption;
+        let mut taken = 0;
+        while i < GAGES {
+            taken += weight(GAGES, j);
+            if taken > most {
+                break;
+            }
+            let (left, right) = (&batch.difference[i], &batch.difference[j]);
+            let gram = &mut self.block.gram[i][j];
+            *gram += products(&left[0], &right[0]) + products(&left[1], &right[1]);
+            if spills {
+                self.codes.gram[i][j] += i128::from(*gram);
+                *gram = 0;
+            }
+            if i == j {
+                // Sixteen differences of 25 bits have 29.
+                self.codes.sum[i] += i64::from(sum(&left[0]) + sum(&left[1]));
+            }
+            if let Some(sums) = self.higher.get_mut(place..) {
+                add_monomials_of_pair(&batch.rounded, (i, j), sums);
+            }
+            place += monomials_of_pair(GAGES - j);
+            j += 1;
+            if j == GAGES {
+                i += 1;
+                j = i;
             }
         }
-        add_higher_monomials(&self.batch.rounded, &mut self.higher);
-
-        self.batch.samples = 0;
-        self.block.batches += 1;
-        if self.block.batches == BATCHES_PER_BLOCK {
-            self.spill_block();
-        }
+        self.absorption = Absorption { pair: (i, j), place, spills };
     }
 
     fn spill_block(&mut self) {
@@ -220,6 +314,21 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
         }
         self.block.batches = 0;
     }
+}
+
+/// Σ of the products of two channels, counts². Lane by lane, see [`add_monomials_of_pair`].
+#[inline]
+fn products(left: &[i32; HALF], right: &[i32; HALF]) -> i64 {
+    let ([a, b, c, d, e, f, g, h], [i, j, k, l, m, n, o, p]) = (*left, *right);
+    let product = |left: i32, right: i32| i64::from(left) * i64::from(right);
+    let first = product(a, i) + product(b, j) + product(c, k) + product(d, l);
+    first + product(e, m) + product(f, n) + product(g, o) + product(h, p)
+}
+
+#[inline]
+fn sum(of: &[i32; HALF]) -> i32 {
+    let [a, b, c, d, e, f, g, h] = *of;
+    (a + b) + (c + d) + (e + f) + (g + h)
 }
 
 #[cfg(test)]

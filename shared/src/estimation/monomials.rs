@@ -1,14 +1,11 @@
 //! The monomials of degree 3 and 4 in p channels: which there are, in which order, and how a batch of samples adds to their
 //! sums (design § 2).
 
-use super::moments::BATCH;
-use crate::units::MAX_GAGES;
+/// Samples of half a batch: as many lanes as are written out.
+pub(super) const HALF: usize = 8;
 
-/// The number of channels and of products of two of them.
-const fn factor_count(gages: usize) -> usize {
-    gages + gages * (gages + 1) / 2
-}
-
+/// One channel of a batch in single precision, in two halves.
+pub(super) type Lanes = [[f32; HALF]; 2];
 /// A sum in single precision that remembers what its last addition rounded away (Kahan).
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Compensated {
@@ -38,41 +35,53 @@ impl Compensated {
     }
 }
 
-/// Adds the batch's monomials of degree 3 and 4 to `sums`, in the order of [`for_each_higher_monomial`].
-///
-/// Every one is a pair of channels times a channel or another pair. These second factors stand in a list, by their first
-/// channel, each channel before the pairs that it begins: all that extend one pair are then one run without a gap, to the
-/// end of the list. That keeps the innermost loop, which is most of all the work, long.
-pub(super) fn add_higher_monomials<const GAGES: usize>(
-    lanes: &[[f32; BATCH]; GAGES],
+/// The number of monomials that begin with one pair of channels, of which the second is the first of `channels`: each of
+/// them, and each product of two.
+pub(super) const fn monomials_of_pair(channels: usize) -> usize {
+    channels + channels * (channels + 1) / 2
+}
+
+/// Adds the batch's monomials of degree 3 and 4 that begin with the channels i ≤ j to their `sums`, in the order of
+/// [`for_each_higher_monomial`].
+#[inline]
+pub(super) fn add_monomials_of_pair<const GAGES: usize>(
+    lanes: &[Lanes; GAGES],
+    (i, j): (usize, usize),
     mut sums: &mut [Compensated],
 ) {
-    let mut factors = heapless::Vec::<[f32; BATCH], { factor_count(MAX_GAGES) }>::new();
-    for k in 0..GAGES {
-        // There is room for all, see `DIMENSIONS_AGREE`.
-        factors.extend([lanes[k]]);
-        factors.extend(lanes[k..].iter().map(|right| product(&lanes[k], right)));
-    }
-    for i in 0..GAGES {
-        for j in i..GAGES {
-            let pair = product(&lanes[i], &lanes[j]);
-            let run = &factors[factors.len() - factor_count(GAGES - j)..];
-            let Some((extended, rest)) = sums.split_at_mut_checked(run.len()) else { return };
-            for (sum, factor) in extended.iter_mut().zip(run) {
-                sum.add(total(&product(&pair, factor)));
-            }
-            sums = rest;
+    let pair = product(&lanes[i], &lanes[j]);
+    let mut channels = &lanes[j..];
+    while let [third, later @ ..] = channels {
+        let triple = product(&pair, third);
+        let Some((run, rest)) = sums.split_at_mut_checked(1 + channels.len()) else { return };
+        let [cubic, quartics @ ..] = run else { return };
+        cubic.add(total(&triple));
+        for (quartic, lane) in quartics.iter_mut().zip(channels) {
+            quartic.add(total(&product(&triple, lane)));
         }
+        (channels, sums) = (later, rest);
     }
 }
 
 #[inline]
-fn product(left: &[f32; BATCH], right: &[f32; BATCH]) -> [f32; BATCH] {
-    core::array::from_fn(|lane| left[lane] * right[lane])
+fn product(left: &Lanes, right: &Lanes) -> Lanes {
+    [product_of_half(&left[0], &right[0]), product_of_half(&left[1], &right[1])]
+}
+
+// Lane by lane, and not as a loop: this is most of what a sample costs, and stays so in an image that is built for its size.
+#[inline]
+fn product_of_half(left: &[f32; HALF], right: &[f32; HALF]) -> [f32; HALF] {
+    let ([a, b, c, d, e, f, g, h], [i, j, k, l, m, n, o, p]) = (*left, *right);
+    [a * i, b * j, c * k, d * l, e * m, f * n, g * o, h * p]
 }
 
 #[inline]
-fn total(lanes: &[f32; BATCH]) -> f32 {
+fn total([first, second]: &Lanes) -> f32 {
+    total_of_half(first) + total_of_half(second)
+}
+
+#[inline]
+fn total_of_half(lanes: &[f32; HALF]) -> f32 {
     // A tree, so that the sensor and the host add in the same order whatever their vector width.
     let [a, b, c, d, e, f, g, h] = *lanes;
     ((a + b) + (c + d)) + ((e + f) + (g + h))

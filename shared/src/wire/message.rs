@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::diagnosis::Diagnosis;
 use super::report::{CodesFrame, Coverage, Solution, Status, TrialStatus, WrenchFrame};
 use crate::refusal::Refusal;
 use crate::units::{DataRate, Dof, Gain, MAX_DOF, MAX_GAGES};
@@ -78,6 +79,8 @@ pub enum Request {
     /// What has the trial seen, and what not? Answered by [`Response::Coverage`] when computed. A running trial goes on
     /// afterwards; samples that come meanwhile are not taken in.
     Coverage,
+    /// Why did you start, and how much room have you left? Answered by [`Response::Diagnosis`].
+    Diagnosis,
 }
 
 /// What the sensor sends unasked.
@@ -112,6 +115,8 @@ pub enum Response {
     Rejected(Rejection),
     /// What the trial has seen, and what not.
     Coverage(Coverage),
+    /// What the board knows of itself.
+    Diagnosis(Diagnosis),
 }
 
 /// Why a request is not served.

@@ -11,10 +11,12 @@
 //! with [`PROTOCOL_VERSION`]; a host speaks only to a device of its own version, and says so otherwise. Variants are
 //! numbered by their position: new ones go to the end.
 
+mod diagnosis;
 pub mod frame;
 mod message;
 mod report;
 
+pub use diagnosis::{Diagnosis, Failure, MAX_FILE_NAME, ResetCause};
 pub use message::{
     CalibrationUpload, GageList, Hello, PRODUCT, PROTOCOL_VERSION, Rejection, Request, RequestId, Response,
     StreamKind, ToDevice, ToHost,
