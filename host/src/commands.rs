@@ -11,9 +11,12 @@ pub mod device;
 pub mod eval;
 pub mod flash;
 pub mod info;
+pub mod name;
 pub mod output;
 pub mod ports;
 pub mod record;
+pub mod rollback;
+pub mod settings;
 #[cfg(unix)]
 pub mod sim;
 pub mod solve;

@@ -12,9 +12,11 @@
 //! numbered by their position: new ones go to the end.
 
 pub mod frame;
+mod memory;
 mod message;
 mod report;
 
+pub use memory::{Identity, KeptCalibration, KeptCalibrations, LONGEST_NAME, MemoryRequest, SensorName};
 pub use message::{
     CalibrationUpload, GageList, Hello, PRODUCT, PROTOCOL_VERSION, Rejection, Request, RequestId, Response,
     StreamKind, ToDevice, ToHost,
