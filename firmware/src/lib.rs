@@ -18,6 +18,7 @@
 //! | [`session::Session::on_byte`] | a byte came from the host | serial interrupt |
 //! | [`sensor::Sensor::answer`] | a request is complete | below the sample path |
 //! | [`trial::SolveJob::solve`] | a trial is to be solved | lowest priority, in the background |
+//! | [`storage::job::StoreJob::run`] | something is to be stored | lowest priority, in the background |
 #![no_std]
 
 pub mod acquisition;
@@ -26,6 +27,7 @@ pub mod black_box;
 pub mod long_count;
 pub mod sensor;
 pub mod session;
+pub mod storage;
 pub mod trial;
 pub mod tunnel;
 pub mod vitality;

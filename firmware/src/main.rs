@@ -6,14 +6,15 @@
 //! | 3 | `sample` | EXTI9_5: data-ready | the sample path: read, take into the trial, apply, queue a stream frame |
 //! | 3 | `tick` | SysTick, every 10 ms | watches over the converter, starts it where it is due |
 //! | 2 | `session` | TIM7, raised by hand | decodes requests, has them answered, encodes what goes to the host |
-//! | 0 | `idle` | none | solves a trial, in the background |
+//! | 0 | `idle` | none | reads the memory at the start; then solves trials and stores, in the background |
 //!
 //! **Why the link comes first.** The line keeps one byte for 11 µs, and the converter's start, which the tick does, takes up to
 //! 17 ms. The link's interrupt takes less than a microsecond and shares nothing, so it delays the sample path by no more than
 //! that, and no byte is lost whatever the sample path does.
 //!
 //! **What is locked.** The sensor is shared by `sample`, `tick`, `session` and `idle`. `session` holds it while a request is
-//! answered, which is at most the checksum of an uploaded calibration; `idle` while it gives a job's handle back. Queues
+//! answered, which is at most the checksum of an uploaded calibration; `idle` while it gives a job's handle back, or the
+//! calibration that it has read. The memory is `idle`'s alone. Queues
 //! between two tasks need no lock. A stream frame that finds its queue full is dropped and counted.
 //!
 //! TIM7 is used for its interrupt only; the timer itself stands still.
@@ -39,6 +40,8 @@ mod app {
 
     use ftcal_firmware::sensor::{LinkCounters, Reaction, Sensor, StreamFrame};
     use ftcal_firmware::session::{Session, hello};
+    use ftcal_firmware::storage::job::StoreJob;
+    use ftcal_firmware::storage::memory::Memory;
     use ftcal_firmware::trial::SolveJob;
     use ftcal_firmware::vitality::{Task, Vitality};
     use ftcal_shared::estimation::bins::Bins;
@@ -50,7 +53,7 @@ mod app {
 
     use crate::board::link::{Link, LinkQueues, Outbox};
     use crate::board::watchdog::Watchdog;
-    use crate::board::{Converter, DataReady, Start, set_up, time_base};
+    use crate::board::{Converter, DataReady, Flash, Start, set_up, time_base};
 
     /// Gages on the converter.
     const GAGES: usize = 8;
@@ -69,6 +72,8 @@ mod app {
         sensor: Sensor<Converter, Store, GAGES, HIGHER>,
         /// A trial on its way to be solved, and the request that its outcome answers.
         job: Option<(RequestId, Job)>,
+        /// Something to be stored, and the request that asks for it.
+        store_job: Option<(RequestId, StoreJob)>,
         /// The outcome on its way to the host.
         outcome: Option<(RequestId, Response)>,
         /// Where the sample path leaves what it streams: its two tasks have the same priority.
@@ -85,6 +90,7 @@ mod app {
         watchdog: Watchdog,
         start: Start,
         conversation: Conversation,
+        memory: Memory<Flash>,
     }
 
     /// The session's ends of the queues.
@@ -113,6 +119,7 @@ mod app {
         let shared = Shared {
             sensor: Sensor::new(board.converter, context.local.store, board.clock),
             job: None,
+            store_job: None,
             outcome: None,
             frames: frames_in,
             dropped_frames: AtomicU32::new(0),
@@ -129,6 +136,7 @@ mod app {
             data_ready: board.data_ready,
             watchdog: board.watchdog,
             start: board.start,
+            memory: Memory::new(board.flash),
             conversation,
         };
         (shared, local)
@@ -181,7 +189,7 @@ mod app {
         binds = TIM7,
         priority = 2,
         local = [conversation, start],
-        shared = [sensor, job, outcome, &dropped_frames, &vitality]
+        shared = [sensor, job, store_job, outcome, &dropped_frames, &vitality]
     )]
     fn session(mut context: session::Context) {
         context.shared.vitality.report(Task::Session);
@@ -226,20 +234,32 @@ mod app {
                 context.shared.job.lock(|waiting| *waiting = Some((id, job)));
                 None
             }
+            Reaction::Store(job) => {
+                context.shared.store_job.lock(|waiting| *waiting = Some((id, job)));
+                None
+            }
         }
     }
 
-    /// Solves trials, or sleeps. A job that comes just before the sleep waits for the next interrupt: 10 ms at most.
-    #[idle(shared = [sensor, job, outcome, &vitality])]
+    /// Solves trials and stores, or sleeps. A job that comes just before the sleep waits for the next interrupt: 10 ms at most.
+    #[idle(local = [memory], shared = [sensor, job, store_job, outcome, &vitality])]
     fn idle(mut context: idle::Context) -> ! {
+        let memory = context.local.memory;
+        let kept = memory.start();
+        context.shared.sensor.lock(|sensor| sensor.restore(kept));
         loop {
             context.shared.vitality.report(Task::Background);
-            let Some((id, mut job)) = context.shared.job.lock(Option::take) else {
+            let (id, response) = if let Some((id, mut job)) = context.shared.job.lock(Option::take) {
+                let response = job.response();
+                context.shared.sensor.lock(|sensor| sensor.finish_solving(job));
+                (id, response)
+            } else if let Some((id, job)) = context.shared.store_job.lock(Option::take) {
+                let stored = job.run(memory);
+                (id, context.shared.sensor.lock(|sensor| sensor.finish_storing(stored)))
+            } else {
                 cortex_m::asm::wfi();
                 continue;
             };
-            let response = job.response();
-            context.shared.sensor.lock(|sensor| sensor.finish_solving(job));
             context.shared.outcome.lock(|outcome| *outcome = Some((id, response)));
             rtic::pend(Interrupt::TIM7);
         }

@@ -9,11 +9,16 @@ use ftcal_shared::estimation::bins::Bins;
 use ftcal_shared::fault::AdcFault;
 use ftcal_shared::units::{AdcCode, DeviceTime, Gain};
 use ftcal_shared::wire::{
-    AdcState, CalibrationUpload, ClockSource, CodesFrame, GageList, InvalidCause, Measurement, Rejection,
-    Request, Response, Status, StreamKind, ToHost, WrenchFrame,
+    AdcState, CalibrationUpload, ClockSource, CodesFrame, GageList, Identity, InvalidCause, KeptCalibration,
+    KeptCalibrations, Measurement, MemoryRequest, Rejection, Request, Response, Status, StreamKind, ToHost,
+    WrenchFrame,
 };
 
 use crate::acquisition::{Acquisition, Sample};
+use crate::adc::AdcSettings;
+use crate::storage::items::{Settings, StoredCalibration};
+use crate::storage::job::{StoreJob, Stored};
+use crate::storage::memory::{Kept, StorageError};
 use crate::trial::{SolveJob, Trial};
 
 /// What the sample path sends to the host.
@@ -43,6 +48,8 @@ pub enum Reaction<Store, const GAGES: usize, const HIGHER: usize> {
     Solve(SolveJob<Store, GAGES, HIGHER>),
     /// Answer with the board's own [`Diagnosis`](ftcal_shared::wire::Diagnosis), which the sensor knows nothing of.
     Diagnose,
+    /// Do this in the background, give the outcome to [`Sensor::finish_storing`], and send what that says.
+    Store(StoreJob),
 }
 
 /// What the link knows and the sensor reports in its status.
@@ -59,6 +66,10 @@ pub struct Sensor<Spi, Store, const GAGES: usize, const HIGHER: usize> {
     acquisition: Acquisition<Spi, GAGES>,
     trial: Trial<Store, GAGES, HIGHER>,
     calibration: Option<LoadedCalibration<GAGES>>,
+    kept: KeptCalibrations,
+    identity: Identity,
+    /// A [`StoreJob`] is out.
+    storing: bool,
     stream: StreamKind,
     clock: ClockSource,
 }
@@ -66,9 +77,26 @@ pub struct Sensor<Spi, Store, const GAGES: usize, const HIGHER: usize> {
 /// A calibration as it came, and in the form that the sample path applies.
 struct LoadedCalibration<const GAGES: usize> {
     upload: CalibrationUpload,
-    /// The gain that it came at: its counts are counts at this gain.
+    /// The gain that it was made at: its counts are counts at this gain.
     gain: Gain,
     real_time: RealTimeCalibration<GAGES>,
+}
+
+impl<const GAGES: usize> LoadedCalibration<GAGES> {
+    fn new(upload: CalibrationUpload, gain: Gain) -> Result<Self, Rejection> {
+        if upload.identity != upload.identity_of_numbers() {
+            return Err(Rejection::WrongIdentity);
+        }
+        let real_time = RealTimeCalibration::new(upload.dof, &upload.matrix, &upload.bias_counts).map_err(
+            |unusable| match unusable {
+                UnusableCalibration::WrongDimensions => Rejection::WrongDimensions,
+                UnusableCalibration::NonFinite | UnusableCalibration::BiasOutOfRange => {
+                    Rejection::UnusableNumbers
+                }
+            },
+        )?;
+        Ok(Self { upload, gain, real_time })
+    }
 }
 
 impl<Spi, Store, const GAGES: usize, const HIGHER: usize> Sensor<Spi, Store, GAGES, HIGHER>
@@ -82,8 +110,30 @@ where
             acquisition: Acquisition::new(spi),
             trial: Trial::new(store),
             calibration: None,
+            kept: KeptCalibrations::default(),
+            identity: Identity::default(),
+            storing: false,
             stream: StreamKind::Off,
             clock,
+        }
+    }
+
+    /// Takes up what was kept across the reset: to be called once, as soon as the memory is read. A calibration is used at the gain
+    /// that it was made at, unless settings were kept that say otherwise.
+    pub fn restore(&mut self, kept: Result<Kept, StorageError>) {
+        let Ok(kept) = kept else {
+            self.kept.current = KeptCalibration::Unreadable;
+            return;
+        };
+        let mut settings = kept.settings;
+        if let Some(StoredCalibration { gain, .. }) = kept.calibration {
+            let data_rate = self.acquisition.settings().data_rate;
+            settings = settings.or(Some(Settings { data_rate, gain }));
+        }
+        // Why it cannot be used, the status says.
+        let _ = self.take_up(kept, true);
+        if let Some(Settings { data_rate, gain }) = settings {
+            self.acquisition.configure(data_rate, gain);
         }
     }
 
@@ -123,11 +173,14 @@ where
                 self.acquisition.configure(data_rate, gain);
                 Response::Done
             }),
-            Request::Stream(kind) => {
+            Request::Stream(kind) => self.require_nothing_stored(kind != StreamKind::Off).map(|()| {
                 self.stream = kind;
-                Ok(Response::Done)
-            }
-            Request::StartTrial { rank } => self.trial.start(rank).map(|()| Response::Done),
+                Response::Done
+            }),
+            Request::StartTrial { rank } => self
+                .require_nothing_stored(true)
+                .and_then(|()| self.trial.start(rank))
+                .map(|()| Response::Done),
             Request::StopTrial => self.trial.stop().map(Response::Trial),
             Request::TrialStatus => Ok(Response::Trial(self.trial.status())),
             Request::SolveTrial => match self.trial.take_for_solving() {
@@ -139,10 +192,77 @@ where
                 Err(rejection) => Err(rejection),
             },
             Request::Diagnosis => return Reaction::Diagnose,
-            Request::UploadCalibration(upload) => self.load(upload).map(|()| self.calibration_response()),
+            Request::UploadCalibration(upload) => {
+                // The one before stays in use where the new one is refused.
+                LoadedCalibration::new(upload, self.acquisition.settings().gain).map(|loaded| {
+                    self.calibration = Some(loaded);
+                    self.calibration_response()
+                })
+            }
             Request::ReadCalibration => Ok(self.calibration_response()),
+            Request::ReadIdentity => Ok(Response::Identity(self.identity.clone())),
+            Request::Memory(request) => match self.store_job(request) {
+                Ok(job) => return Reaction::Store(job),
+                Err(rejection) => Err(rejection),
+            },
         };
         Reaction::Respond(served.unwrap_or_else(Response::Rejected))
+    }
+
+    /// What a request asks of the memory. Nothing is asked of it while samples are streamed or summed up; see
+    /// [`crate::storage::job`].
+    fn store_job(&mut self, request: MemoryRequest) -> Result<StoreJob, Rejection> {
+        self.require_nothing_stored(true)?;
+        if self.stream != StreamKind::Off || self.trial.require_idle().is_err() {
+            return Err(Rejection::Measuring);
+        }
+        let job = match request {
+            MemoryRequest::StoreCalibration => {
+                let LoadedCalibration { upload, gain, .. } =
+                    self.calibration.as_ref().ok_or(Rejection::Uncalibrated)?;
+                StoreJob::Calibration(StoredCalibration { upload: upload.clone(), gain: *gain })
+            }
+            MemoryRequest::RollBack { to } => StoreJob::RollBack(to),
+            MemoryRequest::StoreSettings => {
+                let &AdcSettings { data_rate, gain, .. } = self.acquisition.settings();
+                StoreJob::Settings(Settings { data_rate, gain })
+            }
+            MemoryRequest::WriteName(name) => StoreJob::Name(name),
+        };
+        self.storing = true;
+        Ok(job)
+    }
+
+    /// Takes up what came of a [`StoreJob`], and says what to answer.
+    pub fn finish_storing(&mut self, stored: Stored) -> Response {
+        self.storing = false;
+        match stored.kept.map(|kept| self.take_up(kept, stored.is_rollback)) {
+            Err(error) => Response::Rejected(error.into()),
+            Ok(Err(rejection)) => Response::Rejected(rejection),
+            Ok(Ok(())) if stored.is_rollback => self.calibration_response(),
+            Ok(Ok(())) => Response::Done,
+        }
+    }
+
+    /// Notes what is kept; and uses it, if so wanted.
+    fn take_up(&mut self, kept: Kept, use_it: bool) -> Result<(), Rejection> {
+        let Kept { calibration, calibrations, identity, .. } = kept;
+        self.kept = calibrations;
+        self.identity = identity;
+        let Some(StoredCalibration { upload, gain }) = calibration else { return Ok(()) };
+        let loaded = LoadedCalibration::new(upload, gain);
+        if loaded.is_err() {
+            self.kept.current = KeptCalibration::Unusable;
+        }
+        if use_it {
+            self.calibration = Some(loaded?);
+        }
+        Ok(())
+    }
+
+    /// Nothing that the memory could hold up is started while it is at work.
+    const fn require_nothing_stored(&self, starts: bool) -> Result<(), Rejection> {
+        if starts && self.storing { Err(Rejection::Storing) } else { Ok(()) }
     }
 
     /// Takes a trial back that was solved or asked for its coverage.
@@ -193,24 +313,6 @@ where
         })
     }
 
-    /// Takes a calibration into use. The one before stays in use where the new one is refused.
-    fn load(&mut self, upload: CalibrationUpload) -> Result<(), Rejection> {
-        if upload.identity != upload.identity_of_numbers() {
-            return Err(Rejection::WrongIdentity);
-        }
-        let real_time = RealTimeCalibration::new(upload.dof, &upload.matrix, &upload.bias_counts).map_err(
-            |unusable| match unusable {
-                UnusableCalibration::WrongDimensions => Rejection::WrongDimensions,
-                UnusableCalibration::NonFinite | UnusableCalibration::BiasOutOfRange => {
-                    Rejection::UnusableNumbers
-                }
-            },
-        )?;
-        self.calibration =
-            Some(LoadedCalibration { upload, gain: self.acquisition.settings().gain, real_time });
-        Ok(())
-    }
-
     fn calibration_response(&self) -> Response {
         Response::Calibration(self.calibration.as_ref().map(|calibration| calibration.upload.clone()))
     }
@@ -235,6 +337,7 @@ where
             corrupted_conversions: counters.corrupted,
             dropped_frames: link.dropped_frames,
             broken_frames: link.broken_frames,
+            kept: self.kept,
         }
     }
 }

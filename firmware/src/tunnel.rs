@@ -9,6 +9,8 @@
 //! | converter | [`FromConverter::Transferred`] | these came back; `number` is that of the question |
 //! | converter | [`FromConverter::DataReady`] | the data-ready line fell, at this time of the converter's clock |
 //! | board | [`FromBoard::Handled`] | the board has done what it does about a data-ready |
+//! | board | [`FromBoard::Flash`] | read, write or erase the flash, which the emulator has only for the image |
+//! | host | [`FromConverter::Flash`] | what was read; or that it is written or erased |
 //!
 //! Each message is framed as on the host link (`wire::frame`: postcard, CRC-32, byte stuffing), so a disturbed line loses
 //! messages but never alters one.
@@ -17,6 +19,7 @@
 //!
 //! - A question or its answer: the board waits [`ANSWER_MICROS`] and reports a bus error. An answer that comes later than that
 //!   bears another number than the next question, and is dropped.
+//! - A question to the flash or its answer: the board asks again, [`FLASH_ATTEMPTS`] times. Writing or erasing twice does no harm.
 //! - A data-ready or the word that it was handled: the converter goes on by itself after [`UNHANDLED_MICROS`].
 //!
 //! # Pace
@@ -35,6 +38,12 @@ pub const MAX_TRANSFER: usize = 64;
 /// How long the board waits for the answer to a transfer: milliseconds on a machine that has nothing else to do.
 pub const ANSWER_MICROS: u64 = 400_000;
 
+/// How often the board asks the flash before that counts as an error of the flash.
+pub const FLASH_ATTEMPTS: u32 = 3;
+
+/// The most bytes of the flash in one message.
+pub const FLASH_CHUNK: usize = 64;
+
 /// How long the converter waits for its announcement to be handled, before it goes on without.
 pub const UNHANDLED_MICROS: u64 = 500_000;
 
@@ -50,6 +59,51 @@ pub struct Transfer {
     pub bytes: TransferBytes,
 }
 
+/// Bytes of the flash.
+pub type FlashBytes = heapless::Vec<u8, FLASH_CHUNK>;
+
+/// What is to be done with the flash.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum FlashAction {
+    /// Tell these bytes, at most [`FLASH_CHUNK`].
+    Read {
+        /// Where they begin.
+        offset: u32,
+        /// How many they are.
+        length: u8,
+    },
+    /// Write these words.
+    Write {
+        /// Where they begin.
+        offset: u32,
+        /// The words.
+        bytes: FlashBytes,
+    },
+    /// Erase the sector that begins here.
+    Erase {
+        /// Where it begins.
+        offset: u32,
+    },
+}
+
+/// What the board asks of the flash.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FlashQuestion {
+    /// Running number, by which an answer finds its question.
+    pub number: u8,
+    /// What is to be done.
+    pub action: FlashAction,
+}
+
+/// What the flash answers.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FlashAnswer {
+    /// That of the question.
+    pub number: u8,
+    /// What was read, nothing where it was to be written or erased; `None` where that is not possible.
+    pub bytes: Option<FlashBytes>,
+}
+
 /// What the board's end sends.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum FromBoard {
@@ -57,6 +111,8 @@ pub enum FromBoard {
     Transfer(Transfer),
     /// The last announcement was handled: the converter may go on.
     Handled,
+    /// What is asked of the flash.
+    Flash(FlashQuestion),
 }
 
 /// What the converter's end sends.
@@ -66,6 +122,8 @@ pub enum FromConverter {
     Transferred(Transfer),
     /// A conversion is complete.
     DataReady(DeviceTime),
+    /// The answer to the question of the same number.
+    Flash(FlashAnswer),
 }
 
 /// What an SPI transaction sends, all its operations in a row; zeros during reads. `None` where it exceeds [`MAX_TRANSFER`].
@@ -117,7 +175,10 @@ mod tests {
     use serde::Serialize;
     use serde::de::DeserializeOwned;
 
-    use super::{FromBoard, FromConverter, MAX_TRANSFER, Transfer, TransferBytes, gather, scatter};
+    use super::{
+        FLASH_CHUNK, FlashAction, FlashAnswer, FlashBytes, FlashQuestion, FromBoard, FromConverter,
+        MAX_TRANSFER, Transfer, TransferBytes, gather, scatter,
+    };
 
     #[test]
     fn every_message_arrives_as_it_was_sent() {
@@ -130,7 +191,12 @@ mod tests {
         for message in from_converter {
             assert_eq!(carried(&message), message);
         }
-        for message in [FromBoard::Transfer(transfer), FromBoard::Handled] {
+        let bytes = FlashBytes::from_array([0; FLASH_CHUNK]);
+        let answer = FlashAnswer { number: 1, bytes: Some(bytes.clone()) };
+        assert_eq!(carried(&FromConverter::Flash(answer.clone())), FromConverter::Flash(answer));
+        let action = FlashAction::Write { offset: u32::MAX, bytes };
+        let question = FromBoard::Flash(FlashQuestion { number: 2, action });
+        for message in [FromBoard::Transfer(transfer), FromBoard::Handled, question] {
             assert_eq!(carried(&message), message);
         }
     }

@@ -16,8 +16,8 @@ use clap::{Parser, Subcommand};
 #[cfg(unix)]
 use crate::commands::sim;
 use crate::commands::{
-    Failure, Streams, apply, calibrate, demo, eval, flash, info, logs, ports, print_refusal, record, solve,
-    stream, trial, upload, verify,
+    Failure, Streams, apply, calibrate, demo, eval, flash, info, logs, name, ports, print_refusal, record,
+    rollback, settings, solve, stream, trial, upload, verify,
 };
 
 /// Input that cannot be used.
@@ -61,6 +61,12 @@ pub enum Command {
     Trial(trial::Arguments),
     /// Upload a calibration to the sensor and read it back.
     Upload(upload::Arguments),
+    /// Have the sensor use the calibration before the one that it keeps.
+    Rollback(rollback::Arguments),
+    /// Set the sensor's converter, for now or for good.
+    Settings(settings::Arguments),
+    /// Give the sensor a name, which it keeps.
+    Name(name::Arguments),
     /// Stream forces and torques as the sensor measures them.
     Stream(stream::Arguments),
     /// Serve a simulated sensor on a pseudo-terminal.
@@ -90,6 +96,9 @@ impl Command {
             Self::Record(arguments) => record::run(arguments, streams),
             Self::Trial(arguments) => trial::run(arguments, streams),
             Self::Upload(arguments) => upload::run(arguments, streams),
+            Self::Rollback(arguments) => rollback::run(arguments, streams),
+            Self::Settings(arguments) => settings::run(arguments, streams),
+            Self::Name(arguments) => name::run(arguments, streams),
             Self::Stream(arguments) => stream::run(arguments, streams),
             #[cfg(unix)]
             Self::Sim(arguments) => sim::run(arguments, streams),

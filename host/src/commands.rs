@@ -12,9 +12,12 @@ pub mod eval;
 pub mod flash;
 pub mod info;
 pub mod logs;
+pub mod name;
 pub mod output;
 pub mod ports;
 pub mod record;
+pub mod rollback;
+pub mod settings;
 #[cfg(unix)]
 pub mod sim;
 pub mod solve;

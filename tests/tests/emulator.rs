@@ -61,7 +61,7 @@ fn wrist() -> Scenario {
 }
 
 fn emulate(converter: impl TunnelledConverter + Send + 'static) -> Emulator {
-    Emulator::start(&image("ftcal-emulated.elf"), converter, Pace::AsHandled, None).unwrap()
+    Emulator::start(&image("ftcal-emulated.elf"), converter, Pace::AsHandled).unwrap()
 }
 
 fn connect(emulator: &Emulator) -> Client<SerialTransport> {
@@ -240,7 +240,7 @@ fn a_tunnel_that_does_not_answer_is_a_bus_fault() {
 fn the_real_image_starts_and_says_that_its_bus_is_empty() {
     let _alone = alone();
     let converter = bench_of(&wrist());
-    let emulator = Emulator::start(&image("ftcal-stm32f405.elf"), converter, Pace::AsHandled, None).unwrap();
+    let emulator = Emulator::start(&image("ftcal-stm32f405.elf"), converter, Pace::AsHandled).unwrap();
     let mut client = connect(&emulator);
     wait_for(&mut client, AdcState::Faulty(AdcFault::NotResponding));
     assert_eq!(client.status().unwrap().conversions, 0);

@@ -9,9 +9,10 @@ use ftcal_shared::refusal::Refusal;
 use ftcal_shared::units::{AdcCode, DataRate, DeviceTime, Dof, Gain, SampleIndex};
 use ftcal_shared::wire::frame::{Decoder, FrameError, encode};
 use ftcal_shared::wire::{
-    AdcState, CalibrationUpload, ClockSource, CodesFrame, Coverage, GageList, GageTarget, Hello,
-    InvalidCause, Measurement, PROTOCOL_VERSION, Rejection, Request, Response, Solution, Status, StreamKind,
-    ToDevice, ToHost, TrialPhase, TrialStatus, WrenchFrame,
+    AdcState, CalibrationUpload, ClockSource, CodesFrame, Coverage, GageList, GageTarget, Hello, Identity,
+    InvalidCause, KeptCalibration, KeptCalibrations, Measurement, MemoryRequest, PROTOCOL_VERSION, Rejection,
+    Request, Response, SensorName, Solution, Status, StreamKind, ToDevice, ToHost, TrialPhase, TrialStatus,
+    WrenchFrame,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -71,6 +72,12 @@ fn requests() {
     assert_request(Request::UploadCalibration(calibration()), &upload);
     assert_request(Request::ReadCalibration, &[8]);
     assert_request(Request::Coverage, &[9]);
+    assert_request(Request::ReadIdentity, &[10]);
+    assert_request(Request::Memory(MemoryRequest::StoreCalibration), &[11, 0]);
+    assert_request(Request::Memory(MemoryRequest::RollBack { to: 300 }), &[11, 1, 0xAC, 0x02]);
+    assert_request(Request::Memory(MemoryRequest::StoreSettings), &[11, 2]);
+    let name = SensorName::try_from("ab").unwrap();
+    assert_request(Request::Memory(MemoryRequest::WriteName(name)), &[11, 3, 2, b'a', b'b']);
 }
 
 /// Numbers chosen for their bytes, not for a sensor.
@@ -126,17 +133,20 @@ fn responses() {
         corrupted_conversions: 3,
         dropped_frames: 4,
         broken_frames: 5,
+        kept: KeptCalibrations { current: KeptCalibration::Calibration(300), previous: Some(2) },
     };
     #[rustfmt::skip]
     let mut golden = vec![1, 8, 1, 2, 2, 0xB4, 0x24, 2, 6, 2, 1, 7];
     golden.extend_from_slice(&TRIAL_BYTES);
-    golden.extend_from_slice(&[0xC0, 0x84, 0x3D, 1, 2, 3, 4, 5]);
+    golden.extend_from_slice(&[0xC0, 0x84, 0x3D, 1, 2, 3, 4, 5, 6, 0xAC, 0x02, 1, 2]);
     assert_response(Response::Status(status.clone()), &golden);
 
-    let running = Status { clock: ClockSource::Crystal, adc: AdcState::Running, calibration: None, ..status };
+    let kept = KeptCalibrations { current: KeptCalibration::OtherFormat(9), previous: None };
+    let running =
+        Status { clock: ClockSource::Crystal, adc: AdcState::Running, calibration: None, kept, ..status };
     let mut golden = vec![1, 8, 0, 1, 2, 6, 2, 0];
     golden.extend_from_slice(&TRIAL_BYTES);
-    golden.extend_from_slice(&[0xC0, 0x84, 0x3D, 1, 2, 3, 4, 5]);
+    golden.extend_from_slice(&[0xC0, 0x84, 0x3D, 1, 2, 3, 4, 5, 3, 9, 0]);
     assert_response(Response::Status(running), &golden);
 
     let mut golden = vec![2];
@@ -165,6 +175,25 @@ fn responses() {
     let mut golden = vec![4, 1];
     golden.extend_from_slice(&CALIBRATION_BYTES);
     assert_response(Response::Calibration(Some(calibration())), &golden);
+}
+
+#[test]
+fn what_is_kept() {
+    let identity = Identity { name: SensorName::try_from("ab").unwrap(), boots: 300, stores: 1 };
+    assert_response(Response::Identity(identity), &[8, 2, b'a', b'b', 0xAC, 0x02, 1]);
+    let order = [
+        KeptCalibration::Unread,
+        KeptCalibration::Nothing,
+        KeptCalibration::Corrupt,
+        KeptCalibration::OtherFormat(0),
+        KeptCalibration::Unusable,
+        KeptCalibration::Unreadable,
+        KeptCalibration::Calibration(0),
+    ];
+    for (number, kept) in (0_u8..).zip(order) {
+        let mut room = [0_u8; 8];
+        assert_eq!(postcard::to_slice(&kept, &mut room).unwrap()[0], number);
+    }
 }
 
 #[test]
@@ -222,6 +251,11 @@ fn rejections() {
         Rejection::WrongDimensions,
         Rejection::UnusableNumbers,
         Rejection::WrongIdentity,
+        Rejection::Measuring,
+        Rejection::Storing,
+        Rejection::Uncalibrated,
+        Rejection::NoSuchCalibration,
+        Rejection::NotStored,
     ];
     for (number, rejection) in (0_u8..).zip(order) {
         assert_response(Response::Rejected(rejection), &[6, number]);

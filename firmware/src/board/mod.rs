@@ -21,7 +21,8 @@
 //! | [`clocks`] | 168 MHz from the crystal, or a fall-back that is told |
 //! | [`time_base`] | microseconds since the start |
 //! | [`link`] | bytes from and to the host |
-//! | `carrier` | the converter's bus and data-ready line: the only file in which the emulated image differs |
+//! | `carrier` | the converter's bus and data-ready line |
+//! | `flash` | the sectors after the image; this file and the one before are the only ones in which the emulated image differs |
 //! | [`failure`] | what happens after a panic or a fault of the processor |
 //! | [`reset`] | what the last reset came from |
 //! | [`stack`] | how much of the stack is in use, and what happens where it is too small |
@@ -40,7 +41,13 @@ pub(crate) mod watchdog;
 #[cfg_attr(not(feature = "emulated"), path = "spi_carrier.rs")]
 mod carrier;
 
+/// The sectors after the image.
+#[cfg_attr(feature = "emulated", path = "tunnel_flash.rs")]
+#[cfg_attr(not(feature = "emulated"), path = "internal_flash.rs")]
+mod flash;
+
 pub(crate) use carrier::{Converter, DataReady};
+pub(crate) use flash::Flash;
 
 use cortex_m::peripheral::SYST;
 use cortex_m::peripheral::syst::SystClkSource;
@@ -65,6 +72,8 @@ pub(crate) struct Board {
     pub(crate) converter: Converter,
     /// The converter's data-ready line.
     pub(crate) data_ready: DataReady,
+    /// The sectors after the image. The emulated one is silent until interrupts are on.
+    pub(crate) flash: Flash,
     /// Running already.
     pub(crate) watchdog: Watchdog,
     /// Why the board has started.
@@ -103,7 +112,7 @@ pub(crate) fn set_up(device: Peripherals, mut systick: SYST, queues: LinkQueues)
     let (converter, data_ready) =
         carrier::connect(device.SPI2, device.USART3, gpiob, device.EXTI, device.SYSCFG, &mut rcc);
     start_ticking(systick, &rcc);
-    Board { clock, link, converter, data_ready, watchdog, start }
+    Board { clock, link, converter, data_ready, flash: Flash::new(device.FLASH), watchdog, start }
 }
 
 /// An interrupt every 10 ms. (The emulator's processor clock is not the one that [`clocks`] finds, so there it comes ten times as

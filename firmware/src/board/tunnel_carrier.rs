@@ -11,7 +11,10 @@ use cortex_m::peripheral::NVIC;
 use critical_section::Mutex;
 use embedded_hal::spi::{Error, ErrorKind, ErrorType, Operation, SpiDevice};
 use embedded_hal_nb::serial::{Read, Write};
-use ftcal_firmware::tunnel::{ANSWER_MICROS, FromBoard, FromConverter, Transfer, gather, scatter};
+use ftcal_firmware::tunnel::{
+    ANSWER_MICROS, FLASH_ATTEMPTS, FlashAction, FlashAnswer, FlashBytes, FlashQuestion, FromBoard,
+    FromConverter, Transfer, gather, scatter,
+};
 use ftcal_shared::units::DeviceTime;
 use ftcal_shared::wire::frame::{Decoder, encode};
 use stm32f4xx_hal::gpio::gpiob::Parts;
@@ -37,6 +40,7 @@ struct Line {
     rx: Rx<USART3>,
     decoder: Decoder,
     answer: Option<Transfer>,
+    flash_answer: Option<FlashAnswer>,
     /// When the data-ready line fell, as long as it stands low.
     announced: Option<DeviceTime>,
 }
@@ -105,6 +109,24 @@ impl DataReady {
     }
 }
 
+/// Asks the flash at the other end. To be called from the background only, whose questions the sample path may interrupt, but not
+/// in the middle of a frame.
+pub(super) fn ask_flash(number: u8, action: FlashAction) -> Result<FlashBytes, TunnelError> {
+    let question = FromBoard::Flash(FlashQuestion { number, action });
+    for _ in 0..FLASH_ATTEMPTS {
+        with_line(|line| line.flash_answer = None);
+        critical_section::with(|_| send(&question))?;
+        let answer = wait_for(|| {
+            let answer = with_line(|line| line.flash_answer.take()).flatten();
+            answer.filter(|answer| answer.number == number)
+        });
+        if let Ok(answer) = answer {
+            return answer.bytes.ok_or(TunnelError::NoAnswer);
+        }
+    }
+    Err(TunnelError::NoAnswer)
+}
+
 fn send(message: &FromBoard) -> Result<(), TunnelError> {
     let frame = encode(message).map_err(|_| TunnelError::TooLong)?;
     for &byte in &frame {
@@ -149,7 +171,10 @@ pub(super) fn connect(
     let (tx, mut rx) = serial.split();
     rx.listen();
     critical_section::with(|section| {
-        LINE.replace(section, Some(Line { tx, rx, decoder: Decoder::new(), answer: None, announced: None }));
+        LINE.replace(
+            section,
+            Some(Line { tx, rx, decoder: Decoder::new(), answer: None, flash_answer: None, announced: None }),
+        );
     });
     listen_to_interrupt();
     (Converter { number: 0 }, DataReady { connected: () })
@@ -176,6 +201,7 @@ fn USART3() {
                 line.announced = Some(time);
                 NVIC::pend(Interrupt::EXTI9_5);
             }
+            Some(Ok(FromConverter::Flash(answer))) => line.flash_answer = Some(answer),
             Some(Err(_)) | None => {}
         }
     });

@@ -263,6 +263,41 @@ fn a_calibration_that_does_not_fit_is_refused() {
 }
 
 #[test]
+fn a_stored_calibration_is_kept_and_the_one_before_brought_back() {
+    let board = ServedBoard::new(ScenarioKind::Wrist);
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("calibration.json");
+    let mut calibration = true_calibration(&board, &path);
+    let file = path.display().to_string();
+    let outcome = ftcal(&board, &["upload", &file]);
+    assert!(outcome.words.contains("lost with the next reset"), "{}", outcome.words);
+    let info = ftcal(&board, &["info", "--json"]).json();
+    let first = info["calibration"].clone();
+    assert_eq!((&info["memory"]["calibration"], &info["memory"]["problem"]), (&Value::Null, &"none".into()));
+    let outcome = ftcal(&board, &["rollback"]);
+    assert!(outcome.has_code(3) && outcome.words.contains("no-such-calibration"), "{}", outcome.words);
+
+    assert!(ftcal(&board, &["upload", &file, "--store"]).has_code(0));
+    calibration.bias_counts[0] += 1.0;
+    let mut bytes = Vec::new();
+    calibration_file::write(&calibration, &mut bytes).expect("memory takes everything");
+    fs::write(&path, bytes).expect("a folder of our own");
+    let outcome = ftcal(&board, &["upload", &file, "--store"]);
+    let restorable = format!("brings {} back", first.as_str().expect("calibrated"));
+    assert!(outcome.words.contains(&restorable), "{}", outcome.words);
+    assert!(ftcal(&board, &["rollback"]).has_code(0));
+    assert!(ftcal(&board, &["name", "left wrist"]).has_code(0));
+    assert!(ftcal(&board, &["name", &"x".repeat(33)]).has_code(2));
+    assert!(
+        ftcal(&board, &["settings", "--gain", "64", "--store"]).words.contains("gain 64, also after a reset")
+    );
+    let info = ftcal(&board, &["info", "--json"]).json();
+    assert_eq!((&info["calibration"], &info["memory"]["calibration"]), (&first, &first));
+    assert_eq!((&info["name"], &info["memory"]["stores"]), (&"left wrist".into(), &3.into()));
+    assert!(ftcal(&board, &["info"]).data.contains("kept across resets\n"));
+}
+
+#[test]
 fn info_names_what_is_wrong() {
     let board = ServedBoard::new(ScenarioKind::Wrist);
     assert!(ftcal(&board, &["record", "--samples", "1"]).has_code(0));

@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 
 use clap::Args;
-use ftcal_shared::wire::{AdcState, Diagnosis, Hello, Status};
+use ftcal_shared::wire::{AdcState, Diagnosis, Hello, Identity, KeptCalibration, Status};
 use serde::Serialize;
 
 use super::device::DeviceArgs;
@@ -29,24 +29,36 @@ pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> 
     let mut client = arguments.device.connect()?;
     let hello = client.hello()?;
     let status = client.status()?;
+    let identity = client.identity()?;
     let diagnosis = client.diagnosis()?;
     if arguments.json {
-        print_json(&Info::new(&hello, &status, &diagnosis), streams.data)?;
+        print_json(&Info::new(&hello, &status, &identity, &diagnosis), streams.data)?;
     } else {
-        write_words(streams.data, &hello, &status)?;
+        write_words(streams.data, &hello, &status, &identity)?;
         write_diagnosis(streams.data, &diagnosis)?;
     }
     Ok(())
 }
 
-fn write_words(out: &mut dyn Write, hello: &Hello, status: &Status) -> io::Result<()> {
+fn write_words(out: &mut dyn Write, hello: &Hello, status: &Status, identity: &Identity) -> io::Result<()> {
     let calibration = match status.calibration {
-        Some(identity) => format!("{identity:08x}"),
+        Some(in_use) if status.kept.current == KeptCalibration::Calibration(in_use) => {
+            format!("{in_use:08x}, kept across resets")
+        }
+        Some(in_use) => format!("{in_use:08x}, lost with the next reset"),
         None => "none; upload one with `ftcal upload`".to_owned(),
     };
+    let kept = words::kept_calibration(status.kept.current);
+    let previous = match status.kept.previous {
+        Some(previous) => format!("; before that {previous:08x}, which `ftcal rollback` brings back"),
+        None => String::new(),
+    };
+    let name = if identity.name.is_empty() { "none; give it one with `ftcal name`" } else { &identity.name };
     let version = words::version(hello.firmware_version);
+    writeln!(out, "name         {name}")?;
     writeln!(out, "firmware     {version}, protocol version {}", hello.protocol_version)?;
     writeln!(out, "uptime       {:.1} s", status.uptime.as_seconds())?;
+    writeln!(out, "starts       {}", identity.boots)?;
     writeln!(out, "clock        {}", words::clock_source(status.clock))?;
     writeln!(out, "gages        {}", status.gages)?;
     writeln!(out, "converter    {}", words::adc_state(status.adc))?;
@@ -57,6 +69,7 @@ fn write_words(out: &mut dyn Write, hello: &Hello, status: &Status) -> io::Resul
         status.conversions, status.lost_conversions, status.corrupted_conversions
     )?;
     writeln!(out, "calibration  {calibration}")?;
+    writeln!(out, "memory       {kept}{previous}; stored {} times", identity.stores)?;
     writeln!(out, "trial        {}", words::trial_status(&status.trial))?;
     writeln!(
         out,
@@ -83,6 +96,8 @@ fn write_diagnosis(out: &mut dyn Write, diagnosis: &Diagnosis) -> io::Result<()>
 /// The same for scripts.
 #[derive(Serialize)]
 struct Info {
+    name: String,
+    boots: u32,
     firmware: String,
     protocol_version: u16,
     uptime_s: f64,
@@ -91,6 +106,7 @@ struct Info {
     converter: Converter,
     conversions: Conversions,
     calibration: Option<String>,
+    memory: Memory,
     trial: Trial,
     link: Link,
     last_reset: &'static str,
@@ -120,6 +136,15 @@ struct Conversions {
 }
 
 #[derive(Serialize)]
+struct Memory {
+    /// `null` where there is none, for the reason in `problem`.
+    calibration: Option<String>,
+    problem: Option<String>,
+    previous: Option<String>,
+    stores: u32,
+}
+
+#[derive(Serialize)]
 struct Trial {
     phase: &'static str,
     rank: u8,
@@ -139,13 +164,20 @@ struct Link {
 }
 
 impl Info {
-    fn new(hello: &Hello, status: &Status, diagnosis: &Diagnosis) -> Self {
+    fn new(hello: &Hello, status: &Status, identity: &Identity, diagnosis: &Diagnosis) -> Self {
+        let hexadecimal = |identity: u32| format!("{identity:08x}");
+        let (kept, problem) = match status.kept.current {
+            KeptCalibration::Calibration(identity) => (Some(hexadecimal(identity)), None),
+            other => (None, Some(words::kept_calibration(other))),
+        };
         let (state, fault) = match status.adc {
             AdcState::Starting => ("starting", None),
             AdcState::Running => ("running", None),
             AdcState::Faulty(fault) => ("faulty", Some(words::adc_fault(fault))),
         };
         Self {
+            name: identity.name.as_str().to_owned(),
+            boots: identity.boots,
             firmware: words::version(hello.firmware_version),
             protocol_version: hello.protocol_version,
             uptime_s: status.uptime.as_seconds(),
@@ -162,7 +194,13 @@ impl Info {
                 lost: status.lost_conversions,
                 corrupted: status.corrupted_conversions,
             },
-            calibration: status.calibration.map(|identity| format!("{identity:08x}")),
+            calibration: status.calibration.map(hexadecimal),
+            memory: Memory {
+                calibration: kept,
+                problem,
+                previous: status.kept.previous.map(hexadecimal),
+                stores: identity.stores,
+            },
             trial: Trial {
                 phase: words::trial_phase(status.trial.phase),
                 rank: status.trial.rank,

@@ -51,7 +51,12 @@ pub fn data_rate(text: &str) -> Result<DataRate, String> {
     })
 }
 
-fn gain(text: &str) -> Result<Gain, String> {
+/// Reads a gain.
+///
+/// # Errors
+///
+/// What is expected, where the converter has no such gain.
+pub fn gain(text: &str) -> Result<Gain, String> {
     let gain = text.parse().ok().and_then(Gain::from_factor);
     gain.ok_or_else(|| {
         format!("expected one of {}", Gain::ALL.map(|gain| gain.factor().to_string()).join(", "))

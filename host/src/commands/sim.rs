@@ -20,6 +20,7 @@ use crate::simulator::bench::Bench;
 use crate::simulator::board::SimulatedBoard;
 use crate::simulator::bus::SharedBench;
 use crate::simulator::emulator::Emulator;
+use crate::simulator::flash::SimulatedFlash;
 use crate::simulator::operator::{HELP, Order, turn};
 use crate::simulator::pseudo_terminal::{PortLink, PseudoTerminal};
 use crate::simulator::scenario::{Scenario, ScenarioKind};
@@ -46,6 +47,9 @@ pub struct Arguments {
     /// Write what the image logs to this file; `ftcal logs` puts it into words
     #[arg(long, value_name = "FILE", requires = "emulator")]
     logs: Option<PathBuf>,
+    /// What the sensor keeps across resets is in this file, which is made where there is none
+    #[arg(long, value_name = "FILE")]
+    flash: Option<PathBuf>,
 }
 
 /// How often a running emulator looks whether it is to stop.
@@ -69,7 +73,8 @@ pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> 
 
 /// Serves the firmware's application, compiled for this machine.
 fn serve_board(arguments: &Arguments, scenario: &Scenario, streams: &mut Streams) -> Result<(), Failure> {
-    let board = SimulatedBoard::for_scenario(scenario, arguments.seed).map_err(Failure::input)?;
+    let board = SimulatedBoard::with_flash(scenario.sensor.clone(), arguments.seed, flash(arguments)?)
+        .map_err(Failure::input)?;
     let bench = board.bench();
     let mut board = board.into_board();
     let configure = ToDevice::Request(0, Request::ConfigureAdc(arguments.rate, Gain::default()));
@@ -80,6 +85,12 @@ fn serve_board(arguments: &Arguments, scenario: &Scenario, streams: &mut Streams
     Ok(terminal.serve(board.as_mut(), &stop).context("the pseudo-terminal cannot be served")?)
 }
 
+/// The flash in the file, or one that is as new.
+fn flash(arguments: &Arguments) -> Result<SimulatedFlash, Failure> {
+    let Some(path) = &arguments.flash else { return Ok(SimulatedFlash::default()) };
+    Ok(SimulatedFlash::in_file(path).with_context(|| shown(path))?)
+}
+
 /// Runs the firmware's image in QEMU.
 fn run_image(
     arguments: &Arguments,
@@ -88,8 +99,14 @@ fn run_image(
     streams: &mut Streams,
 ) -> Result<(), Failure> {
     let bench = SharedBench::new(Bench::new(scenario.sensor.clone(), arguments.seed));
-    let emulator = Emulator::start(image, bench.clone(), Pace::RealTime, arguments.logs.as_deref())
-        .map_err(Failure::input)?;
+    let emulator = Emulator::start_with(
+        image,
+        bench.clone(),
+        flash(arguments)?,
+        Pace::RealTime,
+        arguments.logs.as_deref(),
+    )
+    .map_err(Failure::input)?;
     let _link = announce(arguments, scenario, &bench, emulator.link(), streams)?;
     let gages = scenario.sensor.gages();
     if gages < IMAGE_GAGES {

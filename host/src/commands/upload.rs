@@ -15,11 +15,14 @@ use crate::recording::shown;
 pub struct Arguments {
     /// Calibration file, as `ftcal calibrate` writes it
     calibration: PathBuf,
+    /// Have the sensor keep it across resets, too; the one that it kept so far can be brought back with `ftcal rollback`
+    #[arg(long)]
+    store: bool,
     #[command(flatten)]
     device: DeviceArgs,
 }
 
-/// Reads the file, checks it, and has the sensor use it.
+/// Reads the file, checks it, and has the sensor use it, and keep it if so wanted.
 ///
 /// # Errors
 ///
@@ -27,7 +30,8 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> {
     let calibration = calibration_file::read(&arguments.calibration).map_err(Failure::input)?;
     let upload = calibration.upload().with_context(|| shown(&arguments.calibration))?;
-    arguments.device.connect()?.upload_calibration(&upload)?;
+    let mut client = arguments.device.connect()?;
+    client.upload_calibration(&upload)?;
     writeln!(
         streams.words,
         "The sensor uses calibration {:08x} ({} gages, {} components), verified by reading it back.",
@@ -35,5 +39,17 @@ pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> 
         upload.bias_counts.len(),
         upload.dof.count()
     )?;
+    if !arguments.store {
+        writeln!(streams.words, "It is lost with the next reset; to have it kept, upload it with --store.")?;
+        return Ok(());
+    }
+    let kept = client.store_calibration()?;
+    write!(streams.words, "It is kept across resets")?;
+    match kept.previous {
+        None => writeln!(streams.words, ".")?,
+        Some(previous) => {
+            writeln!(streams.words, "; `ftcal rollback` brings {previous:08x} back.")?;
+        }
+    }
     Ok(())
 }

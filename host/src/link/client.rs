@@ -305,7 +305,11 @@ impl<Line: Transport> Client<Line> {
     }
 
     fn request_done(&mut self, request: Request) -> Result<(), ClientError> {
-        match self.request(request, ANSWER)? {
+        self.request_done_within(request, ANSWER)
+    }
+
+    fn request_done_within(&mut self, request: Request, within: Duration) -> Result<(), ClientError> {
+        match self.request(request, within)? {
             Response::Done => Ok(()),
             _ => Err(LinkError::UnexpectedResponse.into()),
         }
@@ -319,7 +323,15 @@ impl<Line: Transport> Client<Line> {
     }
 
     fn request_calibration(&mut self, request: Request) -> Result<Option<CalibrationUpload>, ClientError> {
-        match self.request(request, ANSWER)? {
+        self.request_calibration_within(request, ANSWER)
+    }
+
+    fn request_calibration_within(
+        &mut self,
+        request: Request,
+        within: Duration,
+    ) -> Result<Option<CalibrationUpload>, ClientError> {
+        match self.request(request, within)? {
             Response::Calibration(in_use) => {
                 self.calibration = in_use
                     .as_ref()
@@ -426,10 +438,13 @@ const fn is_safe_to_repeat(request: &Request) -> bool {
         | Request::TrialStatus
         | Request::Diagnosis
         | Request::UploadCalibration(_)
-        | Request::ReadCalibration => true,
+        | Request::ReadCalibration
+        | Request::ReadIdentity
+        | Request::Memory(_) => true,
         Request::StartTrial { .. } | Request::SolveTrial | Request::Coverage => false,
     }
 }
 
+mod memory;
 #[cfg(test)]
 mod tests;

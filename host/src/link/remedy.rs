@@ -83,6 +83,21 @@ const fn of_rejection(rejection: Rejection) -> (&'static str, &'static str) {
         Rejection::WrongIdentity => {
             ("wrong-identity", "Upload again; the sensor keeps the calibration that it had.")
         }
+        Rejection::Measuring => (
+            "measuring",
+            "Stop the stream, and the trial with `ftcal trial stop`; then try again. To erase a part of the memory \
+             stalls the sensor for a second or two.",
+        ),
+        Rejection::Storing => ("storing", "Try again in a few seconds."),
+        Rejection::Uncalibrated => ("uncalibrated", "Upload a calibration: `ftcal upload FILE --store`."),
+        Rejection::NoSuchCalibration => {
+            ("no-such-calibration", "See `ftcal info` for the calibrations that it keeps.")
+        }
+        Rejection::NotStored => (
+            "not-stored",
+            "Try again; if it fails again, the flash is worn or defective, and the sensor works with uploaded \
+             calibrations only.",
+        ),
     }
 }
 

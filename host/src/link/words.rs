@@ -3,7 +3,9 @@
 use std::fmt::Write;
 
 use ftcal_shared::fault::AdcFault;
-use ftcal_shared::wire::{AdcState, ClockSource, Failure, Rejection, ResetCause, TrialPhase, TrialStatus};
+use ftcal_shared::wire::{
+    AdcState, ClockSource, Failure, KeptCalibration, Rejection, ResetCause, TrialPhase, TrialStatus,
+};
 
 use super::frame::NoWrench;
 use super::remedy;
@@ -54,6 +56,30 @@ pub const fn rejection(rejection: Rejection) -> &'static str {
             "a number of the calibration is not finite or beyond the converter's range"
         }
         Rejection::WrongIdentity => "the calibration's checksum does not match its numbers",
+        Rejection::Measuring => {
+            "it streams samples or runs a trial, which writing to its memory would hold up"
+        }
+        Rejection::Storing => "it is writing to its memory",
+        Rejection::Uncalibrated => "it has no calibration in use",
+        Rejection::NoSuchCalibration => "it keeps no such calibration",
+        Rejection::NotStored => "its memory did not take what was to be stored, and keeps what it had",
+    }
+}
+
+/// What is used after a reset.
+pub fn kept_calibration(kept: KeptCalibration) -> String {
+    match kept {
+        KeptCalibration::Unread => "not read yet".into(),
+        KeptCalibration::Nothing => "none".into(),
+        KeptCalibration::Corrupt => "CORRUPT: what is in the memory is not what was stored".into(),
+        KeptCalibration::OtherFormat(format) => {
+            format!("unreadable: stored by other firmware, in format {format}")
+        }
+        KeptCalibration::Unusable => {
+            "unusable: for another number of gages, or with numbers out of range".into()
+        }
+        KeptCalibration::Unreadable => "UNREADABLE: the memory is defective".into(),
+        KeptCalibration::Calibration(identity) => format!("{identity:08x}"),
     }
 }
 

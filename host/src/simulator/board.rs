@@ -7,8 +7,8 @@
 //!
 //! It does what the real board does, in virtual time: one conversion after the other, a tick every few milliseconds, a
 //! serial line of [`BAUD_RATE`] with a buffer before it. A stream frame that does not fit into the buffer is dropped and
-//! counted, as on the board; a response always finds room. A trial is solved between two conversions and takes no
-//! virtual time.
+//! counted, as on the board; a response always finds room. A trial is solved, and the memory written, between two conversions;
+//! neither takes virtual time.
 //!
 //! Everything follows from the bench and from what is received when: the same calls give the same bytes.
 
@@ -18,6 +18,8 @@ use std::time::Duration;
 use embedded_hal::delay::DelayNs;
 use ftcal_firmware::sensor::{LinkCounters, Reaction, Sensor, StreamFrame};
 use ftcal_firmware::session::{Session, hello};
+use ftcal_firmware::storage::job::StoreJob;
+use ftcal_firmware::storage::memory::Memory;
 use ftcal_firmware::trial::SolveJob;
 use ftcal_shared::estimation::bins::Bins;
 use ftcal_shared::estimation::moments::higher_moment_count;
@@ -30,6 +32,7 @@ use thiserror::Error;
 
 use super::bench::Bench;
 use super::bus::SharedBench;
+use super::flash::SimulatedFlash;
 use super::scenario::Scenario;
 use super::sensor::SoftwareSensor;
 use crate::link::serial::BAUD_RATE;
@@ -76,7 +79,7 @@ pub struct SimulatedBoard {
 }
 
 impl SimulatedBoard {
-    /// A board with this scenario's sensor, just switched on.
+    /// A board with this scenario's sensor, just switched on for the first time.
     ///
     /// # Errors
     ///
@@ -85,22 +88,35 @@ impl SimulatedBoard {
         Self::new(scenario.sensor.clone(), seed)
     }
 
-    /// A board with this sensor, just switched on.
+    /// A board with this sensor, just switched on for the first time.
     ///
     /// # Errors
     ///
     /// [`UnsupportedGages`].
     pub fn new(sensor: SoftwareSensor, seed: u64) -> Result<Self, UnsupportedGages> {
+        Self::with_flash(sensor, seed, SimulatedFlash::default())
+    }
+
+    /// A board with this sensor and this flash, just switched on.
+    ///
+    /// # Errors
+    ///
+    /// [`UnsupportedGages`].
+    pub fn with_flash(
+        sensor: SoftwareSensor,
+        seed: u64,
+        flash: SimulatedFlash,
+    ) -> Result<Self, UnsupportedGages> {
         let gages = sensor.gages();
         let bench = SharedBench::new(Bench::new(sensor, seed));
         let board: Box<dyn Board> = match gages {
-            2 => Box::new(GageBoard::<2, { higher_moment_count(2) }>::new(bench.clone())),
-            3 => Box::new(GageBoard::<3, { higher_moment_count(3) }>::new(bench.clone())),
-            4 => Box::new(GageBoard::<4, { higher_moment_count(4) }>::new(bench.clone())),
-            5 => Box::new(GageBoard::<5, { higher_moment_count(5) }>::new(bench.clone())),
-            6 => Box::new(GageBoard::<6, { higher_moment_count(6) }>::new(bench.clone())),
-            7 => Box::new(GageBoard::<7, { higher_moment_count(7) }>::new(bench.clone())),
-            8 => Box::new(GageBoard::<8, { higher_moment_count(8) }>::new(bench.clone())),
+            2 => Box::new(GageBoard::<2, { higher_moment_count(2) }>::new(bench.clone(), flash)),
+            3 => Box::new(GageBoard::<3, { higher_moment_count(3) }>::new(bench.clone(), flash)),
+            4 => Box::new(GageBoard::<4, { higher_moment_count(4) }>::new(bench.clone(), flash)),
+            5 => Box::new(GageBoard::<5, { higher_moment_count(5) }>::new(bench.clone(), flash)),
+            6 => Box::new(GageBoard::<6, { higher_moment_count(6) }>::new(bench.clone(), flash)),
+            7 => Box::new(GageBoard::<7, { higher_moment_count(7) }>::new(bench.clone(), flash)),
+            8 => Box::new(GageBoard::<8, { higher_moment_count(8) }>::new(bench.clone(), flash)),
             _ => return Err(UnsupportedGages { gages }),
         };
         Ok(Self { board, bench })
@@ -147,19 +163,26 @@ struct GageBoard<const GAGES: usize, const HIGHER: usize> {
     bench: SharedBench,
     sensor: Sensor<SharedBench, Store<GAGES, HIGHER>, GAGES, HIGHER>,
     session: Session,
+    memory: Memory<SimulatedFlash>,
     solving: Option<(RequestId, SolveJob<Store<GAGES, HIGHER>, GAGES, HIGHER>)>,
+    storing: Option<(RequestId, StoreJob)>,
     next_tick: DeviceTime,
     line: Line,
 }
 
 impl<const GAGES: usize, const HIGHER: usize> GageBoard<GAGES, HIGHER> {
-    fn new(bench: SharedBench) -> Self {
+    fn new(bench: SharedBench, flash: SimulatedFlash) -> Self {
         let store = Box::new(Bins::new());
+        let mut memory = Memory::new(flash);
+        let mut sensor = Sensor::new(bench.clone(), store, ClockSource::Simulated);
+        sensor.restore(memory.start());
         Self {
-            sensor: Sensor::new(bench.clone(), store, ClockSource::Simulated),
+            sensor,
             bench,
             session: Session::new(),
+            memory,
             solving: None,
+            storing: None,
             next_tick: DeviceTime::default(),
             line: Line::default(),
         }
@@ -181,6 +204,7 @@ impl<const GAGES: usize, const HIGHER: usize> GageBoard<GAGES, HIGHER> {
             Reaction::Respond(response) => self.line.send(&ToHost::Response(id, response)),
             Reaction::Solve(job) => self.solving = Some((id, job)),
             Reaction::Diagnose => self.line.send(&ToHost::Response(id, Response::Diagnosis(DIAGNOSIS))),
+            Reaction::Store(job) => self.storing = Some((id, job)),
         }
     }
 
@@ -210,6 +234,10 @@ impl<const GAGES: usize, const HIGHER: usize> Board for GageBoard<GAGES, HIGHER>
         if let Some((id, mut job)) = self.solving.take() {
             let response = job.response();
             self.sensor.finish_solving(job);
+            self.line.send(&ToHost::Response(id, response));
+        }
+        if let Some((id, job)) = self.storing.take() {
+            let response = self.sensor.finish_storing(job.run(&mut self.memory));
             self.line.send(&ToHost::Response(id, response));
         }
         let announced = self.bench.with(Bench::next_conversion);

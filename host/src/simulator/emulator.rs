@@ -3,7 +3,7 @@
 //! ```text
 //! any program ──pseudo-terminal──► USART2 ┐
 //!                                         ├─ emulated image in qemu-system-arm
-//! converter ────socket, tunnel───► USART3 ┘
+//! converter, flash ───tunnel─────► USART3 ┘
 //! ```
 //!
 //! The machine is `netduinoplus2`, which has the STM32F405. The host link is a pseudo-terminal, of which QEMU chooses the
@@ -21,6 +21,7 @@ use std::thread::{self, JoinHandle};
 
 use thiserror::Error;
 
+use super::flash::SimulatedFlash;
 use super::tunnel::{Pace, TunnelledConverter, serve};
 
 /// The emulator.
@@ -55,19 +56,48 @@ pub enum EmulatorError {
 /// An emulated board that runs until it is dropped.
 pub struct Emulator {
     machine: Child,
+    flash: SimulatedFlash,
     link: PathBuf,
     tunnel: Option<JoinHandle<io::Result<()>>>,
 }
 
 impl Emulator {
-    /// Starts the emulated image with this converter; what it logs goes to the file `logs`, if there is one.
+    /// Starts the emulated image with this converter, and with a flash as it comes from the factory.
     ///
     /// # Errors
     ///
     /// [`EmulatorError`].
     pub fn start(
         image: &Path,
+        converter: impl TunnelledConverter + Send + 'static,
+        pace: Pace,
+    ) -> Result<Self, EmulatorError> {
+        Self::start_with_flash(image, converter, SimulatedFlash::default(), pace)
+    }
+
+    /// Starts the emulated image with this converter and this flash. To end the emulator is to cut its power.
+    ///
+    /// # Errors
+    ///
+    /// [`EmulatorError`].
+    pub fn start_with_flash(
+        image: &Path,
+        converter: impl TunnelledConverter + Send + 'static,
+        flash: SimulatedFlash,
+        pace: Pace,
+    ) -> Result<Self, EmulatorError> {
+        Self::start_with(image, converter, flash, pace, None)
+    }
+
+    /// The same; what the image logs goes to the file `logs`, if there is one.
+    ///
+    /// # Errors
+    ///
+    /// [`EmulatorError`].
+    pub fn start_with(
+        image: &Path,
         mut converter: impl TunnelledConverter + Send + 'static,
+        flash: SimulatedFlash,
         pace: Pace,
         logs: Option<&Path>,
     ) -> Result<Self, EmulatorError> {
@@ -97,10 +127,12 @@ impl Emulator {
             _ => EmulatorError::Failed(error),
         })?;
         // From here on the machine is stopped whatever happens.
-        let mut emulator = Self { machine, link: PathBuf::new(), tunnel: None };
+        let mut board_flash = flash.clone();
+        let mut emulator = Self { machine, flash, link: PathBuf::new(), tunnel: None };
         emulator.link = link_path(BufReader::new(words))?;
         let reader = our_end.try_clone()?;
-        emulator.tunnel = Some(thread::spawn(move || serve(reader, our_end, &mut converter, pace)));
+        emulator.tunnel =
+            Some(thread::spawn(move || serve(reader, our_end, &mut converter, &mut board_flash, pace)));
         Ok(emulator)
     }
 
@@ -112,6 +144,7 @@ impl Emulator {
 
 impl Drop for Emulator {
     fn drop(&mut self) {
+        self.flash.cut_power();
         // Neither fails but where the machine has ended already, which is what is wanted.
         let _ = self.machine.kill();
         let _ = self.machine.wait();

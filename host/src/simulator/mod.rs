@@ -15,7 +15,8 @@
 //! | [`mod@bench`] | all of these together, one conversion at a time |
 //! | [`bus`] | the bench as a driver sees it: an SPI device |
 //! | [`board`] | the firmware's application on top of the bench |
-//! | [`tunnel`] | the bench as the emulator's converter |
+//! | [`flash`] | what the board keeps across a reset, in a file if need be |
+//! | [`tunnel`] | the bench and the flash as the emulator's |
 //! | [`emulator`] | the firmware's image in QEMU |
 //! | [`operator`] | somebody who hangs loads, turns the sensor and plays faults on demand |
 //! | [`pseudo_terminal`] | a board behind a serial port that other programs can open |
@@ -30,6 +31,7 @@ pub mod bus;
 #[cfg(unix)]
 pub mod emulator;
 pub mod fault;
+pub mod flash;
 pub mod motion;
 pub mod operator;
 #[cfg(unix)]

@@ -1,4 +1,4 @@
-//! The host's end of the emulator's tunnel: a converter model behind a serial line. For the protocol see
+//! The host's end of the emulator's tunnel: a converter model and a flash behind a serial line. For the protocol see
 //! [`ftcal_firmware::tunnel`].
 //!
 //! The converter's clock is the bench's virtual time. [`serve`] lets it pass as fast as the [`Pace`] says, but never
@@ -10,12 +10,17 @@ use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use ftcal_firmware::tunnel::{FromBoard, FromConverter, Transfer, UNHANDLED_MICROS};
+use embedded_storage::nor_flash::{NorFlash, ReadNorFlash};
+use ftcal_firmware::storage::layout::SECTOR;
+use ftcal_firmware::tunnel::{
+    FlashAction, FlashAnswer, FlashBytes, FlashQuestion, FromBoard, FromConverter, Transfer, UNHANDLED_MICROS,
+};
 use ftcal_shared::units::DeviceTime;
 use ftcal_shared::wire::frame::{Decoder, encode};
 
 use super::bench::Bench;
 use super::bus::SharedBench;
+use super::flash::SimulatedFlash;
 
 /// Bytes taken from the line at once.
 const CHUNK: usize = 1024;
@@ -55,7 +60,7 @@ pub enum Pace {
     AsHandled,
 }
 
-/// Serves the converter to the board at the other end of the line, until the line is closed.
+/// Serves converter and flash to the board at the other end of the line, until the line is closed.
 ///
 /// # Errors
 ///
@@ -64,6 +69,7 @@ pub fn serve(
     reader: impl Read + Send,
     mut writer: impl Write,
     converter: &mut impl TunnelledConverter,
+    flash: &mut SimulatedFlash,
     pace: Pace,
 ) -> io::Result<()> {
     let (sender, messages) = channel();
@@ -81,6 +87,9 @@ pub fn serve(
                     send(&mut writer, &FromConverter::Transferred(answer(&question, converter)))?;
                 }
                 Ok(FromBoard::Handled) => unhandled = None,
+                Ok(FromBoard::Flash(question)) => {
+                    send(&mut writer, &FromConverter::Flash(answer_of_flash(&question, flash)))?;
+                }
                 Err(RecvTimeoutError::Timeout) => {
                     let before = converter.now();
                     let announced = converter.next_conversion();
@@ -132,6 +141,22 @@ fn answer(question: &Transfer, converter: &mut impl TunnelledConverter) -> Trans
     Transfer { number: question.number, bytes }
 }
 
+fn answer_of_flash(question: &FlashQuestion, flash: &mut SimulatedFlash) -> FlashAnswer {
+    let done = match &question.action {
+        FlashAction::Read { offset, length } => {
+            let mut bytes = FlashBytes::new();
+            let fits = bytes.resize(usize::from(*length), 0).is_ok();
+            (fits && flash.read(*offset, &mut bytes).is_ok()).then_some(bytes)
+        }
+        FlashAction::Write { offset, bytes } => flash.write(*offset, bytes).is_ok().then(FlashBytes::new),
+        FlashAction::Erase { offset } => {
+            let end = offset.saturating_add(SECTOR);
+            flash.erase(*offset, end).is_ok().then(FlashBytes::new)
+        }
+    };
+    FlashAnswer { number: question.number, bytes: done }
+}
+
 fn send(writer: &mut impl Write, message: &FromConverter) -> io::Result<()> {
     let frame = encode(message).map_err(|_| io::Error::other("a message of the tunnel is too long"))?;
     writer.write_all(&frame)
@@ -147,11 +172,14 @@ mod tests {
     use std::thread;
     use std::time::{Duration, Instant};
 
-    use ftcal_firmware::tunnel::{FromBoard, FromConverter, Transfer, TransferBytes, UNHANDLED_MICROS};
+    use ftcal_firmware::tunnel::{
+        FlashAction, FlashAnswer, FlashBytes, FlashQuestion, FromBoard, FromConverter, Transfer,
+        TransferBytes, UNHANDLED_MICROS,
+    };
     use ftcal_shared::units::DeviceTime;
     use ftcal_shared::wire::frame::{Decoder, encode};
 
-    use super::{Pace, TunnelledConverter, serve};
+    use super::{Pace, SimulatedFlash, TunnelledConverter, serve};
 
     const PERIOD_MICROS: u64 = 2_000;
 
@@ -195,7 +223,8 @@ mod tests {
         let (mut from_converter, to_board) = pipe().unwrap();
         let server = thread::spawn(move || {
             let mut converter = Complement { conversions: 0 };
-            serve(from_board, to_board, &mut converter, pace).map(|()| converter.conversions)
+            let mut flash = SimulatedFlash::default();
+            serve(from_board, to_board, &mut converter, &mut flash, pace).map(|()| converter.conversions)
         });
         // Nothing is announced before the board has spoken.
         to_converter.write_all(&encode(&FromBoard::Handled).unwrap()).unwrap();
@@ -262,6 +291,34 @@ mod tests {
             broken[2] ^= 1;
             to_converter.write_all(&broken).unwrap();
             handle_conversion(2, from_converter, to_converter);
+        });
+    }
+
+    #[test]
+    fn the_flash_is_read_as_it_was_written_and_says_no_beyond_its_end() {
+        conversions_while(Pace::RealTime, |from_converter, to_converter| {
+            let mut ask = |number, action| {
+                let question = FromBoard::Flash(FlashQuestion { number, action });
+                to_converter.write_all(&encode(&question).unwrap()).unwrap();
+                loop {
+                    match receive(from_converter) {
+                        FromConverter::Flash(FlashAnswer { number: answered, bytes }) => {
+                            assert_eq!(answered, number);
+                            return bytes;
+                        }
+                        FromConverter::DataReady(_) => {}
+                        FromConverter::Transferred(_) => panic!("nothing was asked"),
+                    }
+                }
+            };
+            let bytes = FlashBytes::from_slice(&[1, 2, 3, 4]).unwrap();
+            assert_eq!(ask(1, FlashAction::Write { offset: 8, bytes }), Some(FlashBytes::new()));
+            let read = ask(2, FlashAction::Read { offset: 7, length: 3 }).unwrap();
+            assert_eq!(read, [0xFF, 1, 2]);
+            assert_eq!(ask(3, FlashAction::Erase { offset: 0 }), Some(FlashBytes::new()));
+            assert_eq!(ask(4, FlashAction::Read { offset: 8, length: 1 }).unwrap(), [0xFF]);
+            assert_eq!(ask(5, FlashAction::Read { offset: u32::MAX, length: 1 }), None);
+            assert_eq!(ask(6, FlashAction::Erase { offset: u32::MAX }), None);
         });
     }
 }

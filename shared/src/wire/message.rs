@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::diagnosis::Diagnosis;
+use super::memory::{Identity, MemoryRequest};
 use super::report::{CodesFrame, Coverage, Solution, Status, TrialStatus, WrenchFrame};
 use crate::refusal::Refusal;
 use crate::units::{DataRate, Dof, Gain, MAX_DOF, MAX_GAGES};
@@ -79,6 +80,10 @@ pub enum Request {
     /// What has the trial seen, and what not? Answered by [`Response::Coverage`] when computed. A running trial goes on
     /// afterwards; samples that come meanwhile are not taken in.
     Coverage,
+    /// Who are you, and what have you been through? Answered by [`Response::Identity`].
+    ReadIdentity,
+    /// Something about what is kept across a reset. Rejected while samples are streamed or a trial runs.
+    Memory(MemoryRequest),
     /// Why did you start, and how much room have you left? Answered by [`Response::Diagnosis`].
     Diagnosis,
 }
@@ -115,6 +120,8 @@ pub enum Response {
     Rejected(Rejection),
     /// What the trial has seen, and what not.
     Coverage(Coverage),
+    /// Name and counters.
+    Identity(Identity),
     /// What the board knows of itself.
     Diagnosis(Diagnosis),
 }
@@ -135,6 +142,16 @@ pub enum Rejection {
     UnusableNumbers,
     /// The calibration's checksum does not match its numbers.
     WrongIdentity,
+    /// Samples are streamed or a trial runs: writing to the memory would hold them up.
+    Measuring,
+    /// The memory is being written to.
+    Storing,
+    /// There is no calibration in use that could be stored.
+    Uncalibrated,
+    /// No calibration of this identity is kept.
+    NoSuchCalibration,
+    /// The memory did not take it: what was kept before is still kept.
+    NotStored,
 }
 
 /// A calibration in the sensor's own form.

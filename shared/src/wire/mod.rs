@@ -13,10 +13,12 @@
 
 mod diagnosis;
 pub mod frame;
+mod memory;
 mod message;
 mod report;
 
 pub use diagnosis::{Diagnosis, Failure, MAX_FILE_NAME, ResetCause};
+pub use memory::{Identity, KeptCalibration, KeptCalibrations, LONGEST_NAME, MemoryRequest, SensorName};
 pub use message::{
     CalibrationUpload, GageList, Hello, PRODUCT, PROTOCOL_VERSION, Rejection, Request, RequestId, Response,
     StreamKind, ToDevice, ToHost,

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::memory::KeptCalibrations;
 use super::message::{GageList, StreamKind};
 use crate::fault::AdcFault;
 use crate::units::{AdcCode, DataRate, DeviceTime, Gain, MAX_DOF, MAX_GAGES, SampleIndex};
@@ -37,6 +38,8 @@ pub struct Status {
     pub dropped_frames: u32,
     /// Frames from the host that were broken.
     pub broken_frames: u32,
+    /// The calibrations that survive a reset.
+    pub kept: KeptCalibrations,
 }
 
 /// Where the processor's clock comes from.
