@@ -59,7 +59,7 @@ fn write_words(out: &mut dyn Write, hello: &Hello, status: &Status) -> io::Resul
     writeln!(
         out,
         "link         {} samples did not fit on the line, {} broken frames came from the host",
-        status.dropped_frames, status.broken_frames
+        status.dropped_samples, status.broken_frames
     )
 }
 
@@ -108,7 +108,7 @@ struct Trial {
 
 #[derive(Serialize)]
 struct Link {
-    dropped_frames: u32,
+    dropped_samples: u32,
     broken_frames: u32,
 }
 
@@ -148,7 +148,7 @@ impl Info {
                 off_magnitude: status.trial.off_magnitude,
                 unattended: status.trial.unattended,
             },
-            link: Link { dropped_frames: status.dropped_frames, broken_frames: status.broken_frames },
+            link: Link { dropped_samples: status.dropped_samples, broken_frames: status.broken_frames },
         }
     }
 }

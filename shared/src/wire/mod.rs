@@ -5,7 +5,8 @@
 //! ```
 //!
 //! A frame ends with a zero byte and holds no other, so a receiver that has lost its place finds it again at the next
-//! frame. postcard is positional: the meaning of a byte depends on the version of the protocol, which [`Hello`] tells.
+//! frame. Wrenches travel in runs ([`WrenchFrame`]). postcard is positional: the meaning of a byte depends on the version
+//! of the protocol, which [`Hello`] tells.
 //!
 //! **Compatibility.** The bytes of [`ToDevice::Hello`] and of [`ToHost::Hello`] never change. Every other message may change
 //! with [`PROTOCOL_VERSION`]; a host speaks only to a device of its own version, and says so otherwise. Variants are
@@ -14,12 +15,14 @@
 pub mod frame;
 mod message;
 mod report;
+mod wrench;
 
 pub use message::{
     CalibrationUpload, GageList, Hello, PRODUCT, PROTOCOL_VERSION, Rejection, Request, RequestId, Response,
     StreamKind, ToDevice, ToHost,
 };
 pub use report::{
-    AdcState, ClockSource, CodesFrame, Coverage, GageTarget, InvalidCause, Measurement, Solution, Status,
-    TrialPhase, TrialStatus, WrenchFrame,
+    AdcState, ClockSource, CodesFrame, Coverage, GageTarget, InvalidCause, Solution, Status, TrialPhase,
+    TrialStatus,
 };
+pub use wrench::{MAX_RUN, PackedWrenches, Run, WrenchFrame};
