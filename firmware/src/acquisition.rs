@@ -105,6 +105,11 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
         self.next_index
     }
 
+    /// The number that the last conversion got, whether it could be used or not.
+    pub const fn last_index(&self) -> SampleIndex {
+        SampleIndex::new(self.next_index.get().wrapping_sub(1))
+    }
+
     /// Rate and gain asked for.
     pub const fn settings(&self) -> &AdcSettings {
         &self.settings

@@ -6,7 +6,9 @@
 //!        [`acquisition`] ── codes ──► [`sensor`] ◄── request ── [`session`]
 //!          [`adc`] driver          [`trial`], calibration         │
 //!                │                        │                       │
-//!           any SPI bus             stream frames              responses
+//!           any SPI bus                 moments                responses
+//!                                          │                       │
+//!                                     [`stream`] ──── frames ────► line
 //! ```
 //!
 //! The board, the in-process simulator and the tests feed the same code; what differs is who calls it:
@@ -17,6 +19,7 @@
 //! | [`sensor::Sensor::tick`] | every few milliseconds | timer |
 //! | [`session::Session::on_byte`] | a byte came from the host | serial interrupt |
 //! | [`sensor::Sensor::answer`] | a request is complete | below the sample path |
+//! | [`stream::Batcher`] | samples wait for the line | below the sample path |
 //! | [`trial::SolveJob::solve`] | a trial is to be solved | lowest priority, in the background |
 //! | [`storage::job::StoreJob::run`] | something is to be stored | lowest priority, in the background |
 #![no_std]
@@ -28,6 +31,7 @@ pub mod long_count;
 pub mod sensor;
 pub mod session;
 pub mod storage;
+pub mod stream;
 pub mod trial;
 pub mod tunnel;
 pub mod vitality;

@@ -3,9 +3,9 @@
 //! | priority | task | interrupt | does |
 //! |---|---|---|---|
 //! | 4 | `link` | USART2 | moves bytes between the line and two queues, nothing else |
-//! | 3 | `sample` | EXTI9_5: data-ready | the sample path: read, take into the trial, apply, queue a stream frame |
+//! | 3 | `sample` | EXTI9_5: data-ready | the sample path: read, take into the trial, apply, queue the outcome |
 //! | 3 | `tick` | SysTick, every 10 ms | watches over the converter, starts it where it is due |
-//! | 2 | `session` | TIM7, raised by hand | decodes requests, has them answered, encodes what goes to the host |
+//! | 2 | `session` | TIM7, raised by hand | decodes requests, has them answered, puts samples together into frames |
 //! | 0 | `idle` | none | reads the memory at the start; then solves trials and stores, in the background |
 //!
 //! **Why the link comes first.** The line keeps one byte for 11 µs, and the converter's start, which the tick does, takes up to
@@ -15,7 +15,7 @@
 //! **What is locked.** The sensor is shared by `sample`, `tick`, `session` and `idle`. `session` holds it while a request is
 //! answered, which is at most the checksum of an uploaded calibration; `idle` while it gives a job's handle back, or the
 //! calibration that it has read. The memory is `idle`'s alone. Queues
-//! between two tasks need no lock. A stream frame that finds its queue full is dropped and counted.
+//! between two tasks need no lock. A sample of the stream that finds its queue full is dropped and counted.
 //!
 //! TIM7 is used for its interrupt only; the timer itself stands still.
 #![cfg_attr(target_os = "none", no_std, no_main)]
@@ -38,10 +38,11 @@ fn main() -> std::process::ExitCode {
 mod app {
     use core::sync::atomic::{AtomicU32, Ordering};
 
-    use ftcal_firmware::sensor::{LinkCounters, Reaction, Sensor, StreamFrame};
+    use ftcal_firmware::sensor::{LinkCounters, Reaction, Sensor};
     use ftcal_firmware::session::{Session, hello};
     use ftcal_firmware::storage::job::StoreJob;
     use ftcal_firmware::storage::memory::Memory;
+    use ftcal_firmware::stream::{Batcher, Moment};
     use ftcal_firmware::trial::SolveJob;
     use ftcal_firmware::vitality::{Task, Vitality};
     use ftcal_shared::estimation::bins::Bins;
@@ -61,8 +62,8 @@ mod app {
 
     /// Bytes in either direction that wait for the session or for the line; the longest frame has 521.
     const LINK_QUEUE: usize = 768;
-    /// Stream frames that wait for the line: at 1000 samples a second, 30 ms.
-    const FRAME_QUEUE: usize = 32;
+    /// Samples of the stream that wait for the session: at 8000 a second, 4 ms.
+    const MOMENT_QUEUE: usize = 32;
 
     type Store = &'static mut Bins<GAGES, HIGHER>;
     type Job = SolveJob<Store, GAGES, HIGHER>;
@@ -76,10 +77,10 @@ mod app {
         store_job: Option<(RequestId, StoreJob)>,
         /// The outcome on its way to the host.
         outcome: Option<(RequestId, Response)>,
-        /// Where the sample path leaves what it streams: its two tasks have the same priority.
+        /// Where the sample path leaves what it has to say: its two tasks have the same priority.
         #[lock_free]
-        frames: Producer<'static, StreamFrame>,
-        dropped_frames: AtomicU32,
+        moments: Producer<'static, Moment>,
+        dropped_samples: AtomicU32,
         vitality: Vitality,
     }
 
@@ -97,20 +98,35 @@ mod app {
     pub struct Conversation {
         session: Session,
         received: Consumer<'static, u8>,
-        frames: Consumer<'static, StreamFrame>,
+        moments: Consumer<'static, Moment>,
+        batcher: Batcher,
         outbox: Outbox,
+    }
+
+    impl Conversation {
+        /// The next frame of the stream that is due.
+        fn next_of_stream(&mut self) -> Option<ToHost> {
+            let line_is_idle = self.outbox.is_idle();
+            self.batcher.next(time_base::now(), line_is_idle, || self.moments.dequeue())
+        }
+
+        /// Forgets what of the stream has not gone yet.
+        fn drop_stream(&mut self) {
+            self.batcher.clear();
+            while self.moments.dequeue().is_some() {}
+        }
     }
 
     #[init(local = [
         store: Bins<GAGES, HIGHER> = Bins::new(),
         received: Queue<u8, LINK_QUEUE> = Queue::new(),
         to_send: Queue<u8, LINK_QUEUE> = Queue::new(),
-        frames: Queue<StreamFrame, FRAME_QUEUE> = Queue::new(),
+        moments: Queue<Moment, MOMENT_QUEUE> = Queue::new(),
     ])]
     fn init(context: init::Context) -> (Shared, Local) {
         let (received_in, received_out) = context.local.received.split();
         let (to_send_in, to_send_out) = context.local.to_send.split();
-        let (frames_in, frames_out) = context.local.frames.split();
+        let (moments_in, moments_out) = context.local.moments.split();
 
         let queues = LinkQueues { received: received_in, to_send: to_send_out };
         let board = set_up(context.device, context.core.SYST, queues);
@@ -121,14 +137,15 @@ mod app {
             job: None,
             store_job: None,
             outcome: None,
-            frames: frames_in,
-            dropped_frames: AtomicU32::new(0),
+            moments: moments_in,
+            dropped_samples: AtomicU32::new(0),
             vitality: Vitality::new(),
         };
         let conversation = Conversation {
             session: Session::new(),
             received: received_out,
-            frames: frames_out,
+            moments: moments_out,
+            batcher: Batcher::new(),
             outbox: Outbox::new(to_send_in),
         };
         let local = Local {
@@ -152,32 +169,33 @@ mod app {
     }
 
     /// The converter announces a conversion.
-    #[task(binds = EXTI9_5, priority = 3, local = [data_ready], shared = [sensor, frames, &dropped_frames])]
+    #[task(binds = EXTI9_5, priority = 3, local = [data_ready], shared = [sensor, moments, &dropped_samples])]
     fn sample(mut context: sample::Context) {
         let now = time_base::now();
-        let frame = context.local.data_ready.handle(now, |announced| {
+        let moment = context.local.data_ready.handle(now, |announced| {
             context.shared.sensor.lock(|sensor| sensor.on_data_ready(now, announced))
         });
-        queue_frame(frame.flatten(), context.shared.frames, context.shared.dropped_frames);
+        queue_moment(moment.flatten(), context.shared.moments, context.shared.dropped_samples);
     }
 
     /// Time passes.
-    #[task(binds = SysTick, priority = 3, local = [watchdog], shared = [sensor, frames, &dropped_frames, &vitality])]
+    #[task(binds = SysTick, priority = 3, local = [watchdog], shared = [sensor, moments, &dropped_samples, &vitality])]
     fn tick(mut context: tick::Context) {
         time_base::follow();
         context.shared.vitality.report(Task::Tick);
         if context.shared.vitality.all_have_run() {
             context.local.watchdog.feed();
         }
-        let frame = context.shared.sensor.lock(|sensor| sensor.tick(time_base::now(), &mut time_base::Delay));
-        queue_frame(frame, context.shared.frames, context.shared.dropped_frames);
-        // So that the session can show that it is alive.
+        let moment =
+            context.shared.sensor.lock(|sensor| sensor.tick(time_base::now(), &mut time_base::Delay));
+        queue_moment(moment, context.shared.moments, context.shared.dropped_samples);
+        // Samples that wait for others may have waited long enough, and the session is to show that it is alive.
         rtic::pend(Interrupt::TIM7);
     }
 
-    fn queue_frame(frame: Option<StreamFrame>, frames: &mut Producer<'_, StreamFrame>, dropped: &AtomicU32) {
-        let Some(frame) = frame else { return };
-        if frames.enqueue(frame).is_err() {
+    fn queue_moment(moment: Option<Moment>, moments: &mut Producer<'_, Moment>, dropped: &AtomicU32) {
+        let Some(moment) = moment else { return };
+        if moments.enqueue(moment).is_err() {
             dropped.fetch_add(1, Ordering::Relaxed);
         }
         rtic::pend(Interrupt::TIM7);
@@ -189,7 +207,7 @@ mod app {
         binds = TIM7,
         priority = 2,
         local = [conversation, start],
-        shared = [sensor, job, store_job, outcome, &dropped_frames, &vitality]
+        shared = [sensor, job, store_job, outcome, &dropped_samples, &vitality]
     )]
     fn session(mut context: session::Context) {
         context.shared.vitality.report(Task::Session);
@@ -217,17 +235,22 @@ mod app {
                 return answer;
             }
         }
-        context.local.conversation.frames.dequeue().map(ToHost::from)
+        context.local.conversation.next_of_stream()
     }
 
     /// Has the sensor answer; `None` where the answer takes time and comes as the outcome of a job.
     fn answer(context: &mut session::Context<'_>, id: RequestId, request: Request) -> Option<Response> {
         let now = time_base::now();
+        let is_new_stream = matches!(request, Request::Stream(_));
         let counters = LinkCounters {
-            dropped_frames: context.shared.dropped_frames.load(Ordering::Relaxed),
+            dropped_samples: context.shared.dropped_samples.load(Ordering::Relaxed),
             broken_frames: context.local.conversation.session.broken_frames(),
         };
-        match context.shared.sensor.lock(|sensor| sensor.answer(request, now, counters)) {
+        let reaction = context.shared.sensor.lock(|sensor| sensor.answer(request, now, counters));
+        if is_new_stream {
+            context.local.conversation.drop_stream();
+        }
+        match reaction {
             Reaction::Respond(response) => Some(response),
             Reaction::Diagnose => Some(Response::Diagnosis(context.local.start.diagnosis())),
             Reaction::Solve(job) => {

@@ -6,12 +6,10 @@ use embedded_hal::delay::DelayNs;
 use embedded_hal::spi::SpiDevice;
 use ftcal_shared::estimation::application::{RealTimeCalibration, UnusableCalibration};
 use ftcal_shared::estimation::bins::Bins;
-use ftcal_shared::fault::AdcFault;
-use ftcal_shared::units::{AdcCode, DeviceTime, Gain};
+use ftcal_shared::units::{AdcCode, DeviceTime, Gain, SampleIndex};
 use ftcal_shared::wire::{
     AdcState, CalibrationUpload, ClockSource, CodesFrame, GageList, Identity, InvalidCause, KeptCalibration,
-    KeptCalibrations, Measurement, MemoryRequest, Rejection, Request, Response, Status, StreamKind, ToHost,
-    WrenchFrame,
+    KeptCalibrations, MemoryRequest, PackedWrenches, Rejection, Request, Response, Status, StreamKind,
 };
 
 use crate::acquisition::{Acquisition, Sample};
@@ -19,25 +17,8 @@ use crate::adc::AdcSettings;
 use crate::storage::items::{Settings, StoredCalibration};
 use crate::storage::job::{StoreJob, Stored};
 use crate::storage::memory::{Kept, StorageError};
+use crate::stream::{Measurement, Moment, SilentMoment, WrenchMoment};
 use crate::trial::{SolveJob, Trial};
-
-/// What the sample path sends to the host.
-#[derive(Clone, Debug, PartialEq)]
-pub enum StreamFrame {
-    /// A raw sample.
-    Codes(CodesFrame),
-    /// A wrench, or why there is none.
-    Wrench(WrenchFrame),
-}
-
-impl From<StreamFrame> for ToHost {
-    fn from(frame: StreamFrame) -> Self {
-        match frame {
-            StreamFrame::Codes(frame) => Self::Codes(frame),
-            StreamFrame::Wrench(frame) => Self::Wrench(frame),
-        }
-    }
-}
 
 /// What a request leads to.
 pub enum Reaction<Store, const GAGES: usize, const HIGHER: usize> {
@@ -55,8 +36,8 @@ pub enum Reaction<Store, const GAGES: usize, const HIGHER: usize> {
 /// What the link knows and the sensor reports in its status.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LinkCounters {
-    /// Stream frames that did not fit on the line.
-    pub dropped_frames: u32,
+    /// Samples of the stream that did not fit on the line.
+    pub dropped_samples: u32,
     /// Frames from the host that were broken.
     pub broken_frames: u32,
 }
@@ -139,24 +120,36 @@ where
 
     /// Watches over the converter; see [`Acquisition::tick`]. Where a wrench is being streamed and the converter is at
     /// fault, the host is told so at every tick, instead of hearing nothing.
-    pub fn tick(&mut self, now: DeviceTime, delay: &mut impl DelayNs) -> Option<StreamFrame> {
+    pub fn tick(&mut self, now: DeviceTime, delay: &mut impl DelayNs) -> Option<Moment> {
         self.acquisition.tick(now, delay);
         match self.acquisition.state() {
-            AdcState::Faulty(fault) => self.invalid_frame(now, fault),
-            AdcState::Starting | AdcState::Running => None,
+            AdcState::Faulty(fault) if self.stream == StreamKind::Wrench => {
+                Some(Moment::Silence(SilentMoment {
+                    next: self.acquisition.next_index(),
+                    time: now,
+                    status: 0,
+                    cause: InvalidCause::Adc(fault),
+                }))
+            }
+            AdcState::Faulty(_) | AdcState::Starting | AdcState::Running => None,
         }
     }
 
     /// The sample path: reads the conversion that the converter announces, takes it into the trial, and applies the
     /// calibration. Allocates nothing and waits for nothing but the bus transfer. For the two times see
     /// [`Acquisition::on_data_ready`].
-    pub fn on_data_ready(&mut self, now: DeviceTime, announced: DeviceTime) -> Option<StreamFrame> {
+    pub fn on_data_ready(&mut self, now: DeviceTime, announced: DeviceTime) -> Option<Moment> {
         match self.acquisition.on_data_ready(now, announced)? {
             Ok(sample) => {
                 self.trial.offer(sample.index, &sample.codes);
-                self.stream_frame(&sample)
+                self.moment(&sample, now)
             }
-            Err(fault) => self.invalid_frame(now, fault),
+            Err(fault) => {
+                let measurement = Measurement::Invalid(InvalidCause::Adc(fault));
+                let index = self.acquisition.last_index();
+                (self.stream == StreamKind::Wrench)
+                    .then(|| self.wrench_moment(index, announced, now, measurement))
+            }
         }
     }
 
@@ -270,20 +263,37 @@ where
         self.trial.finish(job);
     }
 
-    fn stream_frame(&self, sample: &Sample<GAGES>) -> Option<StreamFrame> {
+    fn moment(&self, sample: &Sample<GAGES>, now: DeviceTime) -> Option<Moment> {
         match self.stream {
             StreamKind::Off => None,
-            StreamKind::Codes => Some(StreamFrame::Codes(CodesFrame {
+            StreamKind::Codes => Some(Moment::Codes(CodesFrame {
                 index: sample.index,
                 time: sample.time,
                 codes: GageList::from_slice(&sample.codes).ok()?,
             })),
-            StreamKind::Wrench => Some(StreamFrame::Wrench(WrenchFrame {
-                index: sample.index,
-                time: sample.time,
-                measurement: self.measure(&sample.codes),
-            })),
+            StreamKind::Wrench => {
+                Some(self.wrench_moment(sample.index, sample.time, now, self.measure(&sample.codes)))
+            }
         }
+    }
+
+    fn wrench_moment(
+        &self,
+        index: SampleIndex,
+        time: DeviceTime,
+        announced: DeviceTime,
+        measurement: Measurement,
+    ) -> Moment {
+        Moment::Wrench(WrenchMoment {
+            index,
+            stride: 1,
+            time,
+            announced,
+            period_micros: 1_000_000 / self.acquisition.settings().data_rate.hertz(),
+            status: 0,
+            parity: None,
+            measurement,
+        })
     }
 
     fn measure(&self, codes: &[AdcCode; GAGES]) -> Measurement {
@@ -297,20 +307,13 @@ where
         if saturated != 0 {
             return Measurement::Invalid(InvalidCause::Saturated(saturated));
         }
-        Measurement::Valid {
-            wrench: calibration.real_time.apply(codes),
-            calibration: calibration.upload.identity,
+        let wrench = calibration.real_time.apply(codes);
+        if !PackedWrenches::can_hold(&wrench) {
+            return Measurement::Invalid(InvalidCause::NonFinite);
         }
-    }
-
-    fn invalid_frame(&self, now: DeviceTime, fault: AdcFault) -> Option<StreamFrame> {
-        (self.stream == StreamKind::Wrench).then(|| {
-            StreamFrame::Wrench(WrenchFrame {
-                index: self.acquisition.next_index(),
-                time: now,
-                measurement: Measurement::Invalid(InvalidCause::Adc(fault)),
-            })
-        })
+        #[expect(clippy::cast_possible_truncation, reason = "at most six axes")]
+        let axes = calibration.upload.dof.count() as u8;
+        Measurement::Valid { wrench, axes, calibration: calibration.upload.identity }
     }
 
     fn calibration_response(&self) -> Response {
@@ -335,7 +338,7 @@ where
             conversions: counters.read,
             lost_conversions: counters.lost,
             corrupted_conversions: counters.corrupted,
-            dropped_frames: link.dropped_frames,
+            dropped_samples: link.dropped_samples,
             broken_frames: link.broken_frames,
             kept: self.kept,
         }

@@ -190,7 +190,7 @@ fn a_trial_is_run_and_solved_and_wrenches_are_measured() {
         }
     }
     let status = client.status().unwrap();
-    assert_eq!((status.dropped_frames, status.broken_frames, client.broken_frames()), (0, 0, 0));
+    assert_eq!((status.dropped_samples, status.broken_frames, client.broken_frames()), (0, 0, 0));
 }
 
 #[test]

@@ -10,9 +10,9 @@ use ftcal_shared::units::{AdcCode, DataRate, DeviceTime, Dof, Gain, SampleIndex}
 use ftcal_shared::wire::frame::{Decoder, FrameError, encode};
 use ftcal_shared::wire::{
     AdcState, CalibrationUpload, ClockSource, CodesFrame, Coverage, GageList, GageTarget, Hello, Identity,
-    InvalidCause, KeptCalibration, KeptCalibrations, Measurement, MemoryRequest, PROTOCOL_VERSION, Rejection,
-    Request, Response, SensorName, Solution, Status, StreamKind, ToDevice, ToHost, TrialPhase, TrialStatus,
-    WrenchFrame,
+    InvalidCause, KeptCalibration, KeptCalibrations, MemoryRequest, PROTOCOL_VERSION, PackedWrenches,
+    Rejection, Request, Response, Run, SensorName, Solution, Status, StreamKind, ToDevice, ToHost,
+    TrialPhase, TrialStatus, WrenchFrame,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -131,7 +131,7 @@ fn responses() {
         conversions: 1,
         lost_conversions: 2,
         corrupted_conversions: 3,
-        dropped_frames: 4,
+        dropped_samples: 4,
         broken_frames: 5,
         kept: KeptCalibrations { current: KeptCalibration::Calibration(300), previous: Some(2) },
     };
@@ -298,23 +298,40 @@ fn stream_frames() {
         5, 0xFF, 0xFF, 0xFF, 0x07, 0x01, 0x00, 0xD8, 0x04, 0xFE, 0xFF, 0xFF, 0x07,
     ]);
 
-    let frame = |measurement| {
+    let frame = |run| {
         ToHost::Wrench(WrenchFrame {
-            index: SampleIndex::new(1),
+            first: SampleIndex::new(1),
+            stride: 4,
             time: DeviceTime::from_micros(2),
-            measurement,
+            span_micros: 300,
+            age_micros: 3,
+            status: 0x8001,
+            temperature_centi_celsius: Some(-1),
+            run,
         })
     };
+    // Two axes, two samples: (0.5, -2.0) and (0.25, 1.0). The exponents are 0 and 2, the units 2⁻²³ and 2⁻²¹.
+    let wrenches = [[0.5, -2.0, 0.0, 0.0, 0.0, 0.0], [0.25, 1.0, 0.0, 0.0, 0.0, 0.0]];
+    let wrenches = PackedWrenches::pack(2, &wrenches).unwrap();
+    let valid = Run::Valid { calibration: 300, parity: Some(0.5), wrenches };
     #[rustfmt::skip]
-    assert_golden(&frame(Measurement::Valid { wrench: [0.5, -2.0, 0.0, 1.0, 0.0, 0.0], calibration: 300 }), &[
-        3, 1, 2, 0,
-        0, 0, 0, 0x3F, 0, 0, 0, 0xC0, 0, 0, 0, 0, 0, 0, 0x80, 0x3F, 0, 0, 0, 0, 0, 0, 0, 0,
-        0xAC, 0x02,
+    assert_golden(&frame(valid), &[
+        3, 1, 4, 2, 0xAC, 0x02, 3, 0x81, 0x80, 0x02, 1, 0x01,
+        0, 0xAC, 0x02, 1, 0, 0, 0, 0x3F,
+        2, 0, 2,
+        12, 0, 0, 0x40, 0, 0, 0xC0, 0, 0, 0x20, 0, 0, 0x20,
     ]);
-    assert_golden(&frame(Measurement::Invalid(InvalidCause::Uncalibrated)), &[3, 1, 2, 1, 0]);
-    assert_golden(&frame(Measurement::Invalid(InvalidCause::Saturated(0x81))), &[3, 1, 2, 1, 1, 0x81, 0x01]);
-    assert_golden(&frame(Measurement::Invalid(InvalidCause::Adc(AdcFault::Bus))), &[3, 1, 2, 1, 2, 0]);
-    assert_golden(&frame(Measurement::Invalid(InvalidCause::GainChanged)), &[3, 1, 2, 1, 3]);
+    let invalid = |cause, golden: &[u8]| {
+        let mut whole = vec![3, 1, 4, 2, 0xAC, 0x02, 3, 0x81, 0x80, 0x02, 1, 0x01, 1];
+        whole.extend_from_slice(golden);
+        whole.push(20);
+        assert_golden(&frame(Run::Invalid { cause, samples: 20 }), &whole);
+    };
+    invalid(InvalidCause::Uncalibrated, &[0]);
+    invalid(InvalidCause::Saturated(0x81), &[1, 0x81, 0x01]);
+    invalid(InvalidCause::Adc(AdcFault::Bus), &[2, 0]);
+    invalid(InvalidCause::GainChanged, &[3]);
+    invalid(InvalidCause::NonFinite, &[4]);
 }
 
 #[test]

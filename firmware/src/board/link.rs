@@ -96,6 +96,11 @@ impl Outbox {
         true
     }
 
+    /// Whether nothing waits for the line.
+    pub(crate) fn is_idle(&self) -> bool {
+        self.queued == self.frame.len() && self.queue.is_empty()
+    }
+
     /// Takes the next message. The one before must have been flushed: what is left of it is dropped.
     pub(crate) fn put(&mut self, message: &ToHost) {
         // Every message of the protocol fits into a frame; one that does not is not answered, which the host notices.

@@ -9,6 +9,7 @@ use ftcal_shared::wire::StreamKind;
 
 use super::Failure;
 use crate::link::client::Client;
+use crate::link::continuity::Continuity;
 use crate::link::frame::Frame;
 use crate::link::transport::Transport;
 
@@ -36,10 +37,12 @@ fn positive_seconds(text: &str) -> Result<f64, String> {
 /// Where a sample stands in the stream.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Place {
-    /// Number of the conversion.
+    /// Number of the conversion that completed it.
     pub index: SampleIndex,
     /// Time since the first sample, seconds.
     pub time_s: f64,
+    /// What the clock of the line says when the sample is looked at.
+    pub now: Duration,
 }
 
 /// What came.
@@ -47,9 +50,9 @@ pub struct Place {
 pub struct Tally {
     /// Samples taken.
     pub samples: u64,
-    /// Stretches of conversions that are missing between samples.
+    /// Stretches of samples that are missing between others.
     pub gaps: u64,
-    /// Conversions that are missing in them.
+    /// Samples that are missing in them.
     pub missing: u64,
 }
 
@@ -80,13 +83,10 @@ fn take_all<Line: Transport>(
 ) -> Result<Tally, Failure> {
     let mut tally = Tally::default();
     let mut first: Option<DeviceTime> = None;
-    let mut previous: Option<SampleIndex> = None;
+    let mut continuity = Continuity::default();
     while amount.samples.is_none_or(|enough| tally.samples < enough) {
         let Some(frame) = client.next_frame(SILENCE)? else { return Err(why_silent(client)) };
-        let (index, time) = match &frame {
-            Frame::Codes(frame) => (frame.index, frame.time),
-            Frame::Wrench(sample) => (sample.index, sample.time),
-        };
+        let ((index, stride), time) = (frame.place(), frame.time());
         let begin = *first.get_or_insert(time);
         let micros = time.as_micros().saturating_sub(begin.as_micros());
         // The division keeps times as short as they are: 0.003 and not 0.0029999999999999996.
@@ -94,11 +94,10 @@ fn take_all<Line: Transport>(
         if amount.seconds.is_some_and(|enough| time_s >= enough) {
             break;
         }
-        let missing = previous.map_or(0, |previous| index.since(previous).saturating_sub(1));
+        let missing = continuity.missing_before(index, stride);
         tally.gaps += u64::from(missing > 0);
         tally.missing += u64::from(missing);
-        previous = Some(index);
-        take(Place { index, time_s }, &frame)?;
+        take(Place { index, time_s, now: client.line().elapsed() }, &frame)?;
         tally.samples += 1;
     }
     Ok(tally)
@@ -121,8 +120,8 @@ impl Tally {
     pub fn gaps_in_words(&self) -> String {
         match self.gaps {
             0 => "no gap".to_owned(),
-            1 => format!("1 gap ({} conversions missing)", self.missing),
-            gaps => format!("{gaps} gaps ({} conversions missing)", self.missing),
+            1 => format!("1 gap ({} samples missing)", self.missing),
+            gaps => format!("{gaps} gaps ({} samples missing)", self.missing),
         }
     }
 }

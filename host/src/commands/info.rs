@@ -74,7 +74,7 @@ fn write_words(out: &mut dyn Write, hello: &Hello, status: &Status, identity: &I
     writeln!(
         out,
         "link         {} samples did not fit on the line, {} broken frames came from the host",
-        status.dropped_frames, status.broken_frames
+        status.dropped_samples, status.broken_frames
     )
 }
 
@@ -159,7 +159,7 @@ struct Trial {
 
 #[derive(Serialize)]
 struct Link {
-    dropped_frames: u32,
+    dropped_samples: u32,
     broken_frames: u32,
 }
 
@@ -212,7 +212,7 @@ impl Info {
                 off_magnitude: status.trial.off_magnitude,
                 unattended: status.trial.unattended,
             },
-            link: Link { dropped_frames: status.dropped_frames, broken_frames: status.broken_frames },
+            link: Link { dropped_samples: status.dropped_samples, broken_frames: status.broken_frames },
             last_reset: words::reset_cause(diagnosis.reset),
             failure: diagnosis.failure.as_ref().map(words::failure),
             stack: Stack { used_bytes: diagnosis.stack_used_bytes, bytes: diagnosis.stack_bytes },

@@ -123,10 +123,10 @@ fn record<Line: Transport>(
     if client.broken_frames() > 0 {
         writeln!(words, "{} frames came broken: check the cable", client.broken_frames())?;
     }
-    if client.dropped_frames() > 0 {
-        writeln!(words, "{} samples were dropped: this machine was too slow", client.dropped_frames())?;
+    if client.dropped_samples() > 0 {
+        writeln!(words, "{} samples were dropped: this machine was too slow", client.dropped_samples())?;
     }
-    let dropped = client.status()?.dropped_frames.wrapping_sub(status.dropped_frames);
+    let dropped = client.status()?.dropped_samples.wrapping_sub(status.dropped_samples);
     if dropped > 0 {
         writeln!(words, "{dropped} samples did not fit on the line: use a lower data rate")?;
     }

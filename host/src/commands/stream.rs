@@ -1,6 +1,7 @@
 //! `ftcal stream`: wrenches from the sensor, as they come.
 
 use std::io::Write;
+use std::time::Duration;
 
 use clap::Args;
 use ftcal_shared::units::Dof;
@@ -23,6 +24,10 @@ pub struct Arguments {
     device: DeviceArgs,
     #[command(flatten)]
     amount: Amount,
+    /// Print no wrench that is older than this when it is printed, milliseconds, by the clock of this machine; the line's own
+    /// delay is not in it
+    #[arg(long, value_name = "MS")]
+    max_age_ms: Option<u64>,
 }
 
 /// Streams until the amount is reached, or for ever.
@@ -32,13 +37,15 @@ pub struct Arguments {
 /// [`Failure`].
 pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> {
     let mut client = arguments.device.connect()?;
-    stream(&mut client, arguments.amount, streams)
+    let oldest = arguments.max_age_ms.map_or(Duration::MAX, Duration::from_millis);
+    stream(&mut client, arguments.amount, oldest, streams)
 }
 
 /// Streams from a sensor.
 fn stream<Line: Transport>(
     client: &mut Client<Line>,
     amount: Amount,
+    oldest: Duration,
     streams: &mut Streams,
 ) -> Result<(), Failure> {
     let Some(calibration) = client.read_calibration()? else {
@@ -53,10 +60,11 @@ fn stream<Line: Transport>(
     let mut state = State::default();
     let tally = capture(client, StreamKind::Wrench, amount, |place, frame| {
         let Frame::Wrench(sample) = frame else { return Ok(()) };
-        write_sample(dof, place, &sample.measured, streams.data)?;
+        let measured = sample.within(oldest, place.now);
+        write_sample(dof, place, &measured, streams.data)?;
         // A reader at the other end of a pipe wants to see them now.
         streams.data.flush()?;
-        Ok(state.tell(place, &sample.measured, streams.words)?)
+        Ok(state.tell(place, &measured, streams.words)?)
     })?;
     writeln!(
         streams.words,

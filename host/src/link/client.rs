@@ -16,6 +16,7 @@ use ftcal_shared::wire::{
     Response, Solution, Status, StreamKind, ToDevice, ToHost, TrialStatus,
 };
 
+use super::continuity::Continuity;
 use super::error::{ClientError, LinkError};
 use super::frame::{Frame, KnownCalibration, WrenchSample};
 use super::transport::Transport;
@@ -30,8 +31,8 @@ const SOLVING: Duration = Duration::from_mins(1);
 const CONVERTER_START: Duration = Duration::from_secs(3);
 /// Between two looks at the converter's state.
 const CONVERTER_POLL: Duration = Duration::from_millis(20);
-/// Frames that are kept while nobody takes them: a minute at 1000 samples a second.
-const KEPT_FRAMES: usize = 60_000;
+/// Samples that are kept while nobody takes them: a minute at 1000 a second.
+const KEPT_SAMPLES: usize = 60_000;
 
 /// A conversation with one sensor.
 pub struct Client<Line> {
@@ -40,7 +41,13 @@ pub struct Client<Line> {
     received: Vec<u8>,
     next_id: RequestId,
     frames: VecDeque<Frame>,
-    dropped_frames: u64,
+    /// What is streamed.
+    streaming: StreamKind,
+    /// What will be streamed from the response to this request on.
+    next_stream: Option<(RequestId, StreamKind)>,
+    continuity: Continuity,
+    lost_samples: u64,
+    dropped_samples: u64,
     received_bytes: u64,
     broken_frames: u64,
     calibration: Option<KnownCalibration>,
@@ -83,7 +90,11 @@ impl<Line: Transport> Client<Line> {
             received: Vec::new(),
             next_id: 1,
             frames: VecDeque::new(),
-            dropped_frames: 0,
+            streaming: StreamKind::Off,
+            next_stream: None,
+            continuity: Continuity::default(),
+            lost_samples: 0,
+            dropped_samples: 0,
             received_bytes: 0,
             broken_frames: 0,
             calibration: None,
@@ -95,9 +106,15 @@ impl<Line: Transport> Client<Line> {
         &self.line
     }
 
-    /// Frames that came and were dropped because nobody took them in time.
-    pub const fn dropped_frames(&self) -> u64 {
-        self.dropped_frames
+    /// Samples that are missing between those that came, since the stream was started last: lost by the converter, by the
+    /// sensor or on the line.
+    pub const fn lost_samples(&self) -> u64 {
+        self.lost_samples
+    }
+
+    /// Samples that came and were dropped because nobody took them in time.
+    pub const fn dropped_samples(&self) -> u64 {
+        self.dropped_samples
     }
 
     /// Frames that came broken.
@@ -195,12 +212,8 @@ impl<Line: Transport> Client<Line> {
             // So that the wrenches can be read.
             self.read_calibration()?;
         }
-        self.frames.clear();
-        self.request_done(Request::Stream(kind))?;
-        if kind == StreamKind::Off {
-            self.frames.clear();
-        }
-        Ok(())
+        self.next_stream = Some((self.next_id, kind));
+        self.request_done(Request::Stream(kind))
     }
 
     /// Starts a trial of this proper rank. Not repeated: a second start would be rejected, or drop samples.
@@ -409,20 +422,50 @@ impl<Line: Transport> Client<Line> {
 
     /// Sorts one message: samples are kept, what is awaited is returned, and late responses are dropped.
     fn take_in(&mut self, message: ToHost, awaited: Awaited) -> Option<Arrived> {
-        let frame = match message {
+        match message {
             ToHost::Hello(hello) => return (awaited == Awaited::Hello).then_some(Arrived::Hello(hello)),
             ToHost::Response(id, response) => {
+                if let Some((of, kind)) = self.next_stream
+                    && of == id
+                    && response == Response::Done
+                {
+                    self.begin_stream(kind);
+                }
                 return (awaited == Awaited::Response(id)).then_some(Arrived::Response(response));
             }
-            ToHost::Codes(frame) => Frame::Codes(frame),
-            ToHost::Wrench(frame) => Frame::Wrench(WrenchSample::read(&frame, self.calibration)),
-        };
-        if self.frames.len() == KEPT_FRAMES {
+            ToHost::Codes(frame) if self.streaming == StreamKind::Codes => self.keep(Frame::Codes(frame)),
+            ToHost::Wrench(frame) if self.streaming == StreamKind::Wrench => {
+                let Some(samples) = WrenchSample::read(&frame, self.calibration, self.line.elapsed()) else {
+                    self.broken_frames += 1;
+                    return None;
+                };
+                for sample in samples {
+                    self.keep(Frame::Wrench(sample));
+                }
+            }
+            // Of a stream that was ended.
+            ToHost::Codes(_) | ToHost::Wrench(_) => return None,
+        }
+        (awaited == Awaited::Frame).then_some(Arrived::Frame)
+    }
+
+    /// The sensor streams this from now on.
+    fn begin_stream(&mut self, kind: StreamKind) {
+        self.next_stream = None;
+        self.streaming = kind;
+        self.continuity = Continuity::default();
+        self.lost_samples = 0;
+        self.frames.clear();
+    }
+
+    fn keep(&mut self, frame: Frame) {
+        let (index, stride) = frame.place();
+        self.lost_samples += u64::from(self.continuity.missing_before(index, stride));
+        if self.frames.len() == KEPT_SAMPLES {
             self.frames.pop_front();
-            self.dropped_frames += 1;
+            self.dropped_samples += 1;
         }
         self.frames.push_back(frame);
-        (awaited == Awaited::Frame).then_some(Arrived::Frame)
     }
 }
 

@@ -3,11 +3,13 @@
 //! The sensor sends up to six numbers and the identity of the calibration that made them. Here they get their axes, so
 //! that no number can be taken for another, and whatever is not a wrench (uncalibrated, saturated, converter at fault,
 //! made by a calibration that the host does not know) is not a number at all: to read a wrench one has to say what to do
-//! without one.
+//! without one. Whoever needs fresh wrenches says how old they may be ([`WrenchSample::within`]); an older one is none.
+
+use std::time::Duration;
 
 use ftcal_shared::fault::AdcFault;
 use ftcal_shared::units::{Axis, DeviceTime, Dof, MAX_DOF, SampleIndex};
-use ftcal_shared::wire::{CodesFrame, InvalidCause, Measurement, WrenchFrame};
+use ftcal_shared::wire::{CodesFrame, InvalidCause, Run, WrenchFrame};
 
 /// What a sensor sends unasked.
 #[derive(Clone, Debug, PartialEq)]
@@ -18,13 +20,41 @@ pub enum Frame {
     Wrench(WrenchSample),
 }
 
+impl Frame {
+    /// The sample's number, and what it grows by to the next.
+    pub const fn place(&self) -> (SampleIndex, u8) {
+        match self {
+            Self::Codes(frame) => (frame.index, 1),
+            Self::Wrench(sample) => (sample.index, sample.stride),
+        }
+    }
+
+    /// When the sample was taken, by the sensor's clock.
+    pub const fn time(&self) -> DeviceTime {
+        match self {
+            Self::Codes(frame) => frame.time,
+            Self::Wrench(sample) => sample.time,
+        }
+    }
+}
+
 /// A moment of a stream of wrenches.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WrenchSample {
-    /// Number of the conversion.
+    /// Number of the conversion that completed it.
     pub index: SampleIndex,
-    /// When the conversion was read, by the sensor's clock.
+    /// What the number grows by to the next sample; zero where there is no conversion, and the number is that of the next.
+    pub stride: u8,
+    /// When it was taken, by the sensor's clock.
     pub time: DeviceTime,
+    /// When it was complete, by the clock of the line that it came over; the line's own delay is not in it.
+    pub complete: Duration,
+    /// The low 16 bits of the sensor's status word.
+    pub status: u16,
+    /// The largest χ² of the parity channels among the samples of its frame.
+    pub parity: Option<f32>,
+    /// The sensor's temperature, where it measures that.
+    pub temperature_celsius: Option<f32>,
     /// The wrench, or why there is none.
     pub measured: Measured,
 }
@@ -53,6 +83,8 @@ pub enum NoWrench {
     UnknownCalibration(u32),
     /// A component is not finite: the calibration's numbers are too large for these codes.
     NonFinite,
+    /// There is one, but it is older than it may be.
+    Stale,
 }
 
 /// A wrench in the sensor frame.
@@ -92,51 +124,122 @@ pub(super) struct KnownCalibration {
     pub(super) dof: Dof,
 }
 
-impl WrenchSample {
-    /// Reads a frame off the wire with what is known of the sensor's calibration.
-    pub(super) fn read(frame: &WrenchFrame, known: Option<KnownCalibration>) -> Self {
-        let measured = match frame.measurement {
-            Measurement::Invalid(cause) => Measured::Invalid(match cause {
-                InvalidCause::Uncalibrated => NoWrench::Uncalibrated,
-                InvalidCause::Saturated(channels) => NoWrench::Saturated(channels),
-                InvalidCause::Adc(fault) => NoWrench::Adc(fault),
-                InvalidCause::GainChanged => NoWrench::GainChanged,
-            }),
-            Measurement::Valid { wrench, calibration } => match known {
-                Some(known) if known.identity == calibration => {
-                    if wrench.iter().all(|component| component.is_finite()) {
-                        Measured::Valid(Wrench { dof: known.dof, calibration, components: wrench })
-                    } else {
-                        Measured::Invalid(NoWrench::NonFinite)
-                    }
-                }
-                _ => Measured::Invalid(NoWrench::UnknownCalibration(calibration)),
-            },
-        };
-        Self { index: frame.index, time: frame.time, measured }
+impl From<InvalidCause> for NoWrench {
+    fn from(cause: InvalidCause) -> Self {
+        match cause {
+            InvalidCause::Uncalibrated => Self::Uncalibrated,
+            InvalidCause::Saturated(channels) => Self::Saturated(channels),
+            InvalidCause::Adc(fault) => Self::Adc(fault),
+            InvalidCause::GainChanged => Self::GainChanged,
+            InvalidCause::NonFinite => Self::NonFinite,
+        }
     }
+}
+
+impl WrenchSample {
+    /// The wrench, where at this time of the line's clock it is no older than this.
+    pub fn within(&self, oldest: Duration, now: Duration) -> Measured {
+        match self.measured {
+            Measured::Valid(_) if now.saturating_sub(self.complete) > oldest => {
+                Measured::Invalid(NoWrench::Stale)
+            }
+            measured => measured,
+        }
+    }
+
+    /// Reads a frame that came at this time of the line's clock, with what is known of the sensor's calibration; `None`
+    /// where its bytes are no wrenches.
+    pub(super) fn read(
+        frame: &WrenchFrame,
+        known: Option<KnownCalibration>,
+        arrived: Duration,
+    ) -> Option<Vec<Self>> {
+        let measured = measured(&frame.run, known)?;
+        let parity = match frame.run {
+            Run::Valid { parity, .. } => parity,
+            Run::Invalid { .. } => None,
+        };
+        // A frame with no sample says why there is none.
+        let is_silence = matches!(frame.run, Run::Invalid { samples: 0, .. });
+        let steps = measured.len().saturating_sub(1) as u64;
+        let span = u64::from(frame.span_micros);
+        let sample = |(measured, step): (Measured, u32)| {
+            // The nearest microsecond to where evenly spaced samples stand.
+            let into_run = (span * u64::from(step) + steps / 2).checked_div(steps).unwrap_or(0);
+            let age = u64::from(frame.age_micros) + (span - into_run);
+            Self {
+                index: SampleIndex::new(frame.first.get().wrapping_add(step * u32::from(frame.stride))),
+                stride: if is_silence { 0 } else { frame.stride },
+                time: DeviceTime::from_micros(frame.time.as_micros().saturating_add(into_run)),
+                complete: arrived.saturating_sub(Duration::from_micros(age)),
+                status: frame.status,
+                parity,
+                temperature_celsius: frame
+                    .temperature_centi_celsius
+                    .map(|hundredths| f32::from(hundredths) / 100.0),
+                measured,
+            }
+        };
+        Some(measured.into_iter().zip(0..).map(sample).collect())
+    }
+}
+
+/// What each sample of a run has measured.
+fn measured(run: &Run, known: Option<KnownCalibration>) -> Option<Vec<Measured>> {
+    let (calibration, wrenches) = match run {
+        Run::Invalid { cause, samples } => {
+            let none = Measured::Invalid(NoWrench::from(*cause));
+            return Some(vec![none; usize::from(*samples).max(1)]);
+        }
+        Run::Valid { calibration, wrenches, .. } => (*calibration, wrenches),
+    };
+    let count = wrenches.count()?;
+    Some(match known {
+        Some(known) if known.identity == calibration && known.dof.count() == wrenches.axes() => {
+            let wrench = |components| Wrench { dof: known.dof, calibration, components };
+            wrenches.wrenches().map(|components| Measured::Valid(wrench(components))).collect()
+        }
+        _ => vec![Measured::Invalid(NoWrench::UnknownCalibration(calibration)); count],
+    })
 }
 
 #[cfg(test)]
 mod tests {
-    use ftcal_shared::units::{Axis, DeviceTime, Dof, SampleIndex};
-    use ftcal_shared::wire::{InvalidCause, Measurement, WrenchFrame};
+    use std::time::Duration;
+
+    use ftcal_shared::units::{Axis, DeviceTime, Dof, MAX_DOF, SampleIndex};
+    use ftcal_shared::wire::{InvalidCause, PackedWrenches, Run, WrenchFrame};
 
     use super::{KnownCalibration, Measured, NoWrench, WrenchSample};
 
     const KNOWN: KnownCalibration = KnownCalibration { identity: 7, dof: Dof::PlanarForceTorque };
+    const ARRIVED: Duration = Duration::from_secs(2);
 
-    fn read(measurement: Measurement) -> Measured {
-        let frame = WrenchFrame { index: SampleIndex::new(3), time: DeviceTime::from_micros(9), measurement };
-        let sample = WrenchSample::read(&frame, Some(KNOWN));
-        assert_eq!((sample.index, sample.time), (frame.index, frame.time));
-        sample.measured
+    fn read(run: Run) -> Vec<WrenchSample> {
+        let frame = WrenchFrame {
+            first: SampleIndex::new(u32::MAX),
+            stride: 4,
+            time: DeviceTime::from_micros(1000),
+            span_micros: 250,
+            age_micros: 90,
+            status: 0b101,
+            temperature_centi_celsius: Some(-250),
+            run,
+        };
+        WrenchSample::read(&frame, Some(KNOWN), ARRIVED).expect("it is whole")
     }
+
+    fn valid(calibration: u32, wrenches: &[[f32; MAX_DOF]]) -> Run {
+        let wrenches = PackedWrenches::pack(3, wrenches).expect("they fit");
+        Run::Valid { calibration, parity: Some(9.5), wrenches }
+    }
+
+    const WRENCH: [f32; MAX_DOF] = [1.0, 2.0, 3.0, 0.0, 0.0, 0.0];
 
     #[test]
     fn a_wrench_has_the_axes_of_its_calibration() {
-        let wrench = [1.0, 2.0, 3.0, 0.0, 0.0, 0.0];
-        let Measured::Valid(wrench) = read(Measurement::Valid { wrench, calibration: 7 }) else {
+        let samples = read(valid(7, &[WRENCH]));
+        let [WrenchSample { measured: Measured::Valid(wrench), .. }] = samples.as_slice() else {
             panic!("the calibration is known");
         };
         assert_eq!(wrench.components(), [1.0, 2.0, 3.0]);
@@ -146,15 +249,51 @@ mod tests {
     }
 
     #[test]
+    fn each_sample_has_its_place_and_what_its_frame_says() {
+        let samples = read(valid(7, &[WRENCH; 5]));
+        for (step, sample) in (0_u32..).zip(&samples) {
+            assert_eq!(sample.index.since(SampleIndex::new(u32::MAX)), 4 * step);
+            assert!(sample.time.as_micros().abs_diff(1000 + u64::from(625 * step) / 10) <= 1);
+            let age = ARRIVED.saturating_sub(sample.complete).as_micros();
+            assert_eq!(age + u128::from(sample.time.as_micros()), 90 + 1250);
+            assert_eq!((sample.status, sample.parity, sample.stride), (0b101, Some(9.5), 4));
+            assert_eq!(sample.temperature_celsius, Some(-2.5));
+        }
+        assert_eq!((samples.len(), samples[4].time.as_micros()), (5, 1250));
+    }
+
+    #[test]
     fn numbers_that_are_no_wrench_are_not_passed_on() {
-        let wrench = [1.0, f32::NAN, 3.0, 0.0, 0.0, 0.0];
-        assert_eq!(
-            read(Measurement::Valid { wrench, calibration: 7 }),
-            Measured::Invalid(NoWrench::NonFinite)
-        );
-        let other = Measurement::Valid { wrench: [0.0; 6], calibration: 8 };
-        assert_eq!(read(other), Measured::Invalid(NoWrench::UnknownCalibration(8)));
-        let saturated = Measurement::Invalid(InvalidCause::Saturated(0b101));
-        assert_eq!(read(saturated), Measured::Invalid(NoWrench::Saturated(0b101)));
+        let all_are = |run, count, cause| {
+            let samples = read(run);
+            assert_eq!(samples.len(), count);
+            samples.iter().all(|sample| sample.measured == Measured::Invalid(cause))
+        };
+        assert!(all_are(valid(8, &[WRENCH; 3]), 3, NoWrench::UnknownCalibration(8)));
+        let two_axes = PackedWrenches::pack(2, &[WRENCH; 3]).expect("they fit");
+        let other_axes = Run::Valid { calibration: 7, parity: None, wrenches: two_axes };
+        assert!(all_are(other_axes, 3, NoWrench::UnknownCalibration(7)));
+        let saturated = Run::Invalid { cause: InvalidCause::Saturated(0b101), samples: 2 };
+        assert!(all_are(saturated, 2, NoWrench::Saturated(0b101)));
+    }
+
+    #[test]
+    fn a_silence_is_one_moment_without_a_number_of_its_own() {
+        let [silence] = read(Run::Invalid { cause: InvalidCause::Uncalibrated, samples: 0 })[..] else {
+            panic!("one moment");
+        };
+        assert_eq!((silence.index, silence.stride), (SampleIndex::new(u32::MAX), 0));
+    }
+
+    #[test]
+    fn a_wrench_that_is_too_old_is_none() {
+        let samples = read(valid(7, &[WRENCH]));
+        let (sample, oldest) = (samples[0], Duration::from_millis(3));
+        let last = sample.complete + oldest;
+        assert!(matches!(sample.within(oldest, last), Measured::Valid(_)));
+        let just_after = last + Duration::from_nanos(1);
+        assert_eq!(sample.within(oldest, just_after), Measured::Invalid(NoWrench::Stale));
+        let saturated = read(Run::Invalid { cause: InvalidCause::Saturated(1), samples: 1 })[0];
+        assert_eq!(saturated.within(oldest, just_after), Measured::Invalid(NoWrench::Saturated(1)));
     }
 }

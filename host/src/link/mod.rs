@@ -6,11 +6,13 @@
 //! | [`serial`] | a serial port or pseudo-terminal as a line |
 //! | [`client`] | requests with their responses, and the stream between them |
 //! | [`frame`] | samples as the host sees them: a wrench that is not there cannot be read as a number |
+//! | [`continuity`] | what is missing between samples |
 //! | [`error`] | what can go wrong, the link's troubles apart from the sensor's own |
 //! | [`words`] | what a sensor reports, in words |
 //! | [`remedy`] | what to do about each error |
 
 pub mod client;
+pub mod continuity;
 pub mod error;
 pub mod frame;
 pub mod remedy;

@@ -105,6 +105,7 @@ pub fn no_wrench(cause: NoWrench) -> String {
         NoWrench::NonFinite => {
             "the calibration's numbers are too large for these codes; calibrate again".into()
         }
+        NoWrench::Stale => "it came too late; this machine or the line is too slow for the stream".into(),
     }
 }
 

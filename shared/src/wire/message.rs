@@ -4,7 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use super::diagnosis::Diagnosis;
 use super::memory::{Identity, MemoryRequest};
-use super::report::{CodesFrame, Coverage, Solution, Status, TrialStatus, WrenchFrame};
+use super::report::{CodesFrame, Coverage, Solution, Status, TrialStatus};
+use super::wrench::WrenchFrame;
 use crate::refusal::Refusal;
 use crate::units::{DataRate, Dof, Gain, MAX_DOF, MAX_GAGES};
 
@@ -38,7 +39,7 @@ pub enum ToHost {
     Response(RequestId, Response),
     /// A raw sample, unasked for while [`StreamKind::Codes`] is on.
     Codes(CodesFrame),
-    /// A wrench, unasked for while [`StreamKind::Wrench`] is on.
+    /// Wrenches, unasked for while [`StreamKind::Wrench`] is on.
     Wrench(WrenchFrame),
 }
 

@@ -5,7 +5,8 @@
 //! ```
 //!
 //! A frame ends with a zero byte and holds no other, so a receiver that has lost its place finds it again at the next
-//! frame. postcard is positional: the meaning of a byte depends on the version of the protocol, which [`Hello`] tells.
+//! frame. Wrenches travel in runs ([`WrenchFrame`]). postcard is positional: the meaning of a byte depends on the version
+//! of the protocol, which [`Hello`] tells.
 //!
 //! **Compatibility.** The bytes of [`ToDevice::Hello`] and of [`ToHost::Hello`] never change. Every other message may change
 //! with [`PROTOCOL_VERSION`]; a host speaks only to a device of its own version, and says so otherwise. Variants are
@@ -16,6 +17,7 @@ pub mod frame;
 mod memory;
 mod message;
 mod report;
+mod wrench;
 
 pub use diagnosis::{Diagnosis, Failure, MAX_FILE_NAME, ResetCause};
 pub use memory::{Identity, KeptCalibration, KeptCalibrations, LONGEST_NAME, MemoryRequest, SensorName};
@@ -24,6 +26,7 @@ pub use message::{
     StreamKind, ToDevice, ToHost,
 };
 pub use report::{
-    AdcState, ClockSource, CodesFrame, Coverage, GageTarget, InvalidCause, Measurement, Solution, Status,
-    TrialPhase, TrialStatus, WrenchFrame,
+    AdcState, ClockSource, CodesFrame, Coverage, GageTarget, InvalidCause, Solution, Status, TrialPhase,
+    TrialStatus,
 };
+pub use wrench::{MAX_RUN, PackedWrenches, Run, WrenchFrame};

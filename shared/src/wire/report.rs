@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::memory::KeptCalibrations;
 use super::message::{GageList, StreamKind};
 use crate::fault::AdcFault;
-use crate::units::{AdcCode, DataRate, DeviceTime, Gain, MAX_DOF, MAX_GAGES, SampleIndex};
+use crate::units::{AdcCode, DataRate, DeviceTime, Gain, MAX_GAGES, SampleIndex};
 
 /// State of the sensor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -34,8 +34,8 @@ pub struct Status {
     pub lost_conversions: u32,
     /// Conversions thrown away because their checksum was wrong.
     pub corrupted_conversions: u32,
-    /// Stream frames that did not fit on the line.
-    pub dropped_frames: u32,
+    /// Samples of the stream that did not fit on the line.
+    pub dropped_samples: u32,
     /// Frames from the host that were broken.
     pub broken_frames: u32,
     /// The calibrations that survive a reset.
@@ -165,31 +165,6 @@ pub struct CodesFrame {
     pub codes: GageList<AdcCode>,
 }
 
-/// One wrench.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct WrenchFrame {
-    /// Number of the conversion.
-    pub index: SampleIndex,
-    /// When the conversion was read.
-    pub time: DeviceTime,
-    /// The wrench, or why there is none.
-    pub measurement: Measurement,
-}
-
-/// A wrench that cannot be read where there is none.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub enum Measurement {
-    /// A wrench.
-    Valid {
-        /// Newton and newton metre in the sensor frame, in the order of the calibration's axes; zero beyond them.
-        wrench: [f32; MAX_DOF],
-        /// Identity of the calibration it was made with.
-        calibration: u32,
-    },
-    /// No wrench.
-    Invalid(InvalidCause),
-}
-
 /// Why a sample makes no wrench.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -202,4 +177,6 @@ pub enum InvalidCause {
     Adc(AdcFault),
     /// The converter's gain was changed since the calibration was uploaded: its counts are of another size now.
     GainChanged,
+    /// A component is infinite or beyond all measure: the calibration's numbers are too large for these codes.
+    NonFinite,
 }

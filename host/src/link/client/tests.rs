@@ -173,7 +173,7 @@ fn samples_come_in_order_and_stop_when_told() {
         assert!(next.is_none_or(|next| frame.index == next), "no sample is lost");
         next = Some(frame.index.next());
     }
-    assert_eq!(client.dropped_frames(), 0);
+    assert_eq!(client.dropped_samples(), 0);
     client.stream(StreamKind::Off).expect("answers");
     assert_eq!(client.next_frame(Duration::from_secs(1)).expect("the line is sound"), None);
 }
@@ -227,7 +227,7 @@ fn frames_that_nobody_takes_are_dropped_oldest_first_and_counted() {
     client.wait(Duration::from_secs(70)).expect("virtual time passes");
     let kept = u64::try_from(client.frames.len()).expect("fits");
     assert_eq!(kept, 60_000);
-    let dropped = client.dropped_frames();
+    let dropped = client.dropped_samples();
     assert!((9_900..=10_100).contains(&dropped), "{dropped} of 70 000");
 }
 
