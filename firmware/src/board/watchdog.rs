@@ -1,13 +1,13 @@
 //! The independent watchdog: a clock of its own, which nothing but a reset stops.
 
 use stm32f4xx_hal::pac::IWDG;
-use stm32f4xx_hal::time::MilliSeconds;
+use stm32f4xx_hal::prelude::_fugit_ExtU32;
 use stm32f4xx_hal::watchdog::IndependentWatchdog;
 
 /// Longer than anything takes that is in order: solving a trial beside a converter at full rate, or erasing a sector of the
 /// flash, which stops the processor for up to two seconds. Its oscillator may run at 17 to 47 kHz instead of 32: this is 2.7 to
 /// 7.5 seconds.
-const PERIOD: MilliSeconds = MilliSeconds::from_ticks(4_000);
+const PERIOD_MILLISECONDS: u32 = 4_000;
 
 /// The watchdog.
 pub(crate) struct Watchdog {
@@ -18,7 +18,7 @@ impl Watchdog {
     /// Starts it, for good.
     pub(super) fn start(iwdg: IWDG) -> Self {
         let mut watchdog = IndependentWatchdog::new(iwdg);
-        watchdog.start(PERIOD);
+        watchdog.start(PERIOD_MILLISECONDS.millis());
         Self { watchdog }
     }
 
