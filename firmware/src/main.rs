@@ -4,7 +4,7 @@
 //! |---|---|---|---|
 //! | 4 | `link` | USART2 | moves bytes between the line and two queues, nothing else |
 //! | 3 | `sample` | EXTI9_5: data-ready | the sample path: read, take into the trial, apply, queue a stream frame |
-//! | 3 | `tick` | SysTick, every 10 ms | watches over the converter, starts it where it is due |
+//! | 3 | `tick` | SysTick, every 2 ms | watches over the converter, starts it where it is due |
 //! | 2 | `session` | TIM7, raised by hand | decodes requests, has them answered, encodes what goes to the host |
 //! | 0 | `idle` | none | solves a trial, in the background |
 //!
@@ -203,7 +203,7 @@ mod app {
         }
     }
 
-    /// Solves trials, or sleeps. A job that comes just before the sleep waits for the next interrupt: 10 ms at most.
+    /// Solves trials, or sleeps. A job that comes just before the sleep waits for the next interrupt: 2 ms at most.
     #[idle(shared = [sensor, job, outcome])]
     fn idle(mut context: idle::Context) -> ! {
         loop {

@@ -1,4 +1,7 @@
-//! The sensor as a whole: samples in, frames out; requests in, responses out.
+//! The sensor as a whole: samples in, frames out; requests in, responses out. Requests about its health are served in a file of
+//! their own.
+
+mod health;
 
 use core::ops::DerefMut;
 
@@ -6,14 +9,17 @@ use embedded_hal::delay::DelayNs;
 use embedded_hal::spi::SpiDevice;
 use ftcal_shared::estimation::application::{RealTimeCalibration, UnusableCalibration};
 use ftcal_shared::estimation::bins::Bins;
+use ftcal_shared::estimation::parity::ParitySpace;
 use ftcal_shared::fault::AdcFault;
 use ftcal_shared::units::{AdcCode, DeviceTime, Gain};
+use ftcal_shared::wire::health::StatusBit;
 use ftcal_shared::wire::{
     AdcState, CalibrationUpload, ClockSource, CodesFrame, GageList, InvalidCause, Measurement, Rejection,
     Request, Response, Status, StreamKind, ToHost, WrenchFrame,
 };
 
 use crate::acquisition::{Acquisition, Sample};
+use crate::health::{Health, Observed, SelfTest, is_disturbance};
 use crate::trial::{SolveJob, Trial};
 
 /// What the sample path sends to the host.
@@ -57,6 +63,8 @@ pub struct Sensor<Spi, Store, const GAGES: usize, const HIGHER: usize> {
     acquisition: Acquisition<Spi, GAGES>,
     trial: Trial<Store, GAGES, HIGHER>,
     calibration: Option<LoadedCalibration<GAGES>>,
+    health: Health<GAGES>,
+    self_test: SelfTest<GAGES>,
     stream: StreamKind,
     clock: ClockSource,
 }
@@ -66,6 +74,7 @@ struct LoadedCalibration<const GAGES: usize> {
     upload: CalibrationUpload,
     /// The gain that it came at: its counts are counts at this gain.
     gain: Gain,
+    /// Of all gages, or of all but one.
     real_time: RealTimeCalibration<GAGES>,
 }
 
@@ -80,6 +89,8 @@ where
             acquisition: Acquisition::new(spi),
             trial: Trial::new(store),
             calibration: None,
+            health: Health::new(),
+            self_test: SelfTest::new(),
             stream: StreamKind::Off,
             clock,
         }
@@ -89,9 +100,17 @@ where
     /// fault, the host is told so at every tick, instead of hearing nothing.
     pub fn tick(&mut self, now: DeviceTime, delay: &mut impl DelayNs) -> Option<StreamFrame> {
         self.acquisition.tick(now, delay);
+        self.note_conditions();
         match self.acquisition.state() {
-            AdcState::Faulty(fault) => self.invalid_frame(now, fault),
-            AdcState::Starting | AdcState::Running => None,
+            AdcState::Faulty(fault) => {
+                self.health.note_fault(false);
+                self.observe(now, &Observed::Fault(fault));
+                self.invalid_frame(now, fault)
+            }
+            AdcState::Starting | AdcState::Running => {
+                self.observe(now, &Observed::Nothing);
+                None
+            }
         }
     }
 
@@ -99,12 +118,21 @@ where
     /// calibration. Allocates nothing and waits for nothing but the bus transfer. For the two times see
     /// [`Acquisition::on_data_ready`].
     pub fn on_data_ready(&mut self, now: DeviceTime, announced: DeviceTime) -> Option<StreamFrame> {
+        if self.self_test.ignores_data_ready() {
+            return None;
+        }
         match self.acquisition.on_data_ready(now, announced)? {
             Ok(sample) => {
                 self.trial.offer(sample.index, &sample.codes);
-                self.stream_frame(&sample)
+                let measurement = self.measure(&sample);
+                self.observe(now, &Observed::Sample(&sample.codes, self.health.live()));
+                self.stream_frame(&sample, measurement)
             }
-            Err(fault) => self.invalid_frame(now, fault),
+            Err(fault) => {
+                self.health.note_fault(is_disturbance(fault));
+                self.observe(now, &Observed::Fault(fault));
+                self.invalid_frame(now, fault)
+            }
         }
     }
 
@@ -117,15 +145,18 @@ where
     ) -> Reaction<Store, GAGES, HIGHER> {
         let served = match request {
             Request::Status => Ok(Response::Status(self.status(now, link))),
-            Request::ConfigureAdc(data_rate, gain) => self.trial.require_idle().map(|()| {
+            Request::ConfigureAdc(data_rate, gain) => self.require_peace().map(|()| {
                 self.acquisition.configure(data_rate, gain);
+                self.health.relearn(data_rate);
                 Response::Done
             }),
             Request::Stream(kind) => {
                 self.stream = kind;
                 Ok(Response::Done)
             }
-            Request::StartTrial { rank } => self.trial.start(rank).map(|()| Response::Done),
+            Request::StartTrial { rank } => {
+                self.require_no_self_test().and_then(|()| self.trial.start(rank)).map(|()| Response::Done)
+            }
             Request::StopTrial => self.trial.stop().map(Response::Trial),
             Request::TrialStatus => Ok(Response::Trial(self.trial.status())),
             Request::SolveTrial => match self.trial.take_for_solving() {
@@ -136,10 +167,26 @@ where
                 Ok(job) => return Reaction::Solve(job),
                 Err(rejection) => Err(rejection),
             },
-            Request::UploadCalibration(upload) => self.load(upload).map(|()| self.calibration_response()),
+            Request::UploadCalibration(upload) => self
+                .require_no_self_test()
+                .and_then(|()| self.load(upload))
+                .map(|()| self.calibration_response()),
             Request::ReadCalibration => Ok(self.calibration_response()),
+            Request::Health(request) => self.answer_about_health(request, now).map(Response::Health),
         };
+        self.note_conditions();
         Reaction::Respond(served.unwrap_or_else(Response::Rejected))
+    }
+
+    /// Lets the self-test, if one is under way, see what there was to be seen.
+    fn observe(&mut self, now: DeviceTime, observed: &Observed<'_, GAGES>) {
+        if self.self_test.is_running() {
+            let watched = self.health.watched();
+            if self.self_test.observe(now, observed, watched, &mut self.acquisition) {
+                self.health.set(StatusBit::SelfTest, false);
+                self.health.relearn(self.acquisition.settings().data_rate);
+            }
+        }
     }
 
     /// Takes a trial back that was solved or asked for its coverage.
@@ -147,45 +194,44 @@ where
         self.trial.finish(job);
     }
 
-    fn stream_frame(&self, sample: &Sample<GAGES>) -> Option<StreamFrame> {
+    fn stream_frame(&self, sample: &Sample<GAGES>, measurement: Measurement) -> Option<StreamFrame> {
         match self.stream {
             StreamKind::Off => None,
+            // What is played is not to be recorded.
+            StreamKind::Codes if self.self_test.is_running() => None,
             StreamKind::Codes => Some(StreamFrame::Codes(CodesFrame {
                 index: sample.index,
                 time: sample.time,
                 codes: GageList::from_slice(&sample.codes).ok()?,
             })),
-            StreamKind::Wrench => Some(StreamFrame::Wrench(WrenchFrame {
-                index: sample.index,
-                time: sample.time,
-                measurement: self.measure(&sample.codes),
-            })),
+            StreamKind::Wrench => {
+                Some(StreamFrame::Wrench(WrenchFrame { index: sample.index, time: sample.time, measurement }))
+            }
         }
     }
 
-    fn measure(&self, codes: &[AdcCode; GAGES]) -> Measurement {
-        let Some(calibration) = &self.calibration else {
-            return Measurement::Invalid(InvalidCause::Uncalibrated);
+    /// Every sample is measured, streamed or not: health is to be known all the time.
+    fn measure(&mut self, sample: &Sample<GAGES>) -> Measurement {
+        let gain = self.acquisition.settings().gain;
+        let (usable, identity) = match &self.calibration {
+            None => (Err(InvalidCause::Uncalibrated), 0),
+            Some(loaded) if loaded.gain != gain => (Err(InvalidCause::GainChanged), 0),
+            Some(loaded) => (Ok(&loaded.real_time), loaded.upload.identity),
         };
-        if calibration.gain != self.acquisition.settings().gain {
-            return Measurement::Invalid(InvalidCause::GainChanged);
-        }
-        let saturated = saturated_channels(codes);
-        if saturated != 0 {
-            return Measurement::Invalid(InvalidCause::Saturated(saturated));
-        }
-        Measurement::Valid {
-            wrench: calibration.real_time.apply(codes),
-            calibration: calibration.upload.identity,
+        match self.health.measure(usable, saturated_channels(&sample.codes), sample) {
+            Ok(wrench) => Measurement::Valid { wrench, calibration: identity },
+            Err(cause) => Measurement::Invalid(cause),
         }
     }
 
     fn invalid_frame(&self, now: DeviceTime, fault: AdcFault) -> Option<StreamFrame> {
+        let cause =
+            if self.self_test.is_running() { InvalidCause::SelfTest } else { InvalidCause::Adc(fault) };
         (self.stream == StreamKind::Wrench).then(|| {
             StreamFrame::Wrench(WrenchFrame {
                 index: self.acquisition.next_index(),
                 time: now,
-                measurement: Measurement::Invalid(InvalidCause::Adc(fault)),
+                measurement: Measurement::Invalid(cause),
             })
         })
     }
@@ -195,16 +241,17 @@ where
         if upload.identity != upload.identity_of_numbers() {
             return Err(Rejection::WrongIdentity);
         }
-        let real_time = RealTimeCalibration::new(upload.dof, &upload.matrix, &upload.bias_counts).map_err(
-            |unusable| match unusable {
-                UnusableCalibration::WrongDimensions => Rejection::WrongDimensions,
-                UnusableCalibration::NonFinite | UnusableCalibration::BiasOutOfRange => {
-                    Rejection::UnusableNumbers
-                }
-            },
-        )?;
-        self.calibration =
-            Some(LoadedCalibration { upload, gain: self.acquisition.settings().gain, real_time });
+        let settings = self.acquisition.settings();
+        let same =
+            |loaded: &LoadedCalibration<GAGES>| loaded.upload == upload && loaded.gain == settings.gain;
+        if self.calibration.as_ref().is_some_and(same) {
+            // Once more, because the answer was lost: tare and noise are of this very calibration.
+            return Ok(());
+        }
+        let real_time = prepared(&upload)?;
+        self.health.watch(ParitySpace::new(real_time.matrix()), None, settings.data_rate);
+        self.health.start_anew();
+        self.calibration = Some(LoadedCalibration { upload, gain: settings.gain, real_time });
         Ok(())
     }
 
@@ -234,6 +281,18 @@ where
             broken_frames: link.broken_frames,
         }
     }
+}
+
+/// A calibration in the form that the sample path applies.
+fn prepared<const GAGES: usize>(upload: &CalibrationUpload) -> Result<RealTimeCalibration<GAGES>, Rejection> {
+    RealTimeCalibration::new(upload.dof, &upload.matrix, &upload.bias_counts).map_err(|unusable| {
+        match unusable {
+            UnusableCalibration::WrongDimensions => Rejection::WrongDimensions,
+            UnusableCalibration::NonFinite | UnusableCalibration::BiasOutOfRange => {
+                Rejection::UnusableNumbers
+            }
+        }
+    })
 }
 
 /// Which channels stand at an end of their range: bit k for gage k.

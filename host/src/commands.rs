@@ -10,14 +10,18 @@ pub mod demo;
 pub mod device;
 pub mod eval;
 pub mod flash;
+pub mod health;
 pub mod info;
+pub mod limits;
 pub mod output;
 pub mod ports;
 pub mod record;
+pub mod selftest;
 #[cfg(unix)]
 pub mod sim;
 pub mod solve;
 pub mod stream;
+pub mod tare;
 pub mod trial;
 pub mod upload;
 pub mod verify;

@@ -3,10 +3,11 @@
 use std::io::{self, Write};
 
 use clap::Args;
-use ftcal_shared::wire::{AdcState, Hello, Status};
+use ftcal_shared::wire::{AdcState, HealthReport, Hello, Status};
 use serde::Serialize;
 
 use super::device::DeviceArgs;
+use super::health::{names, write_status};
 use super::{Failure, Streams, print_json};
 use crate::link::words;
 
@@ -29,10 +30,13 @@ pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> 
     let mut client = arguments.device.connect()?;
     let hello = client.hello()?;
     let status = client.status()?;
+    let health = client.health()?;
     if arguments.json {
-        print_json(&Info::new(&hello, &status), streams.data)?;
+        print_json(&Info::new(&hello, &status, &health), streams.data)?;
     } else {
         write_words(streams.data, &hello, &status)?;
+        writeln!(streams.data, "status       {:#010x}; `ftcal health` says more", health.live.bits())?;
+        write_status(streams.data, health.live)?;
     }
     Ok(())
 }
@@ -76,6 +80,7 @@ struct Info {
     calibration: Option<String>,
     trial: Trial,
     link: Link,
+    status: Vec<&'static str>,
 }
 
 #[derive(Serialize)]
@@ -113,7 +118,7 @@ struct Link {
 }
 
 impl Info {
-    fn new(hello: &Hello, status: &Status) -> Self {
+    fn new(hello: &Hello, status: &Status, health: &HealthReport) -> Self {
         let (state, fault) = match status.adc {
             AdcState::Starting => ("starting", None),
             AdcState::Running => ("running", None),
@@ -149,6 +154,7 @@ impl Info {
                 unattended: status.trial.unattended,
             },
             link: Link { dropped_frames: status.dropped_frames, broken_frames: status.broken_frames },
+            status: names(health.live),
         }
     }
 }

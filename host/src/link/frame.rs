@@ -49,6 +49,12 @@ pub enum NoWrench {
     Adc(AdcFault),
     /// The gain was changed since the calibration was uploaded.
     GainChanged,
+    /// These gages repeat their code: bit k for gage k.
+    OpenInput(u16),
+    /// The gages contradict each other.
+    GagesContradict,
+    /// The sensor is testing itself.
+    SelfTest,
     /// It was made with a calibration that the host knows nothing of, so that its axes are unknown.
     UnknownCalibration(u32),
     /// A component is not finite: the calibration's numbers are too large for these codes.
@@ -101,6 +107,9 @@ impl WrenchSample {
                 InvalidCause::Saturated(channels) => NoWrench::Saturated(channels),
                 InvalidCause::Adc(fault) => NoWrench::Adc(fault),
                 InvalidCause::GainChanged => NoWrench::GainChanged,
+                InvalidCause::OpenInput(gages) => NoWrench::OpenInput(gages),
+                InvalidCause::GagesContradict => NoWrench::GagesContradict,
+                InvalidCause::SelfTest => NoWrench::SelfTest,
             }),
             Measurement::Valid { wrench, calibration } => match known {
                 Some(known) if known.identity == calibration => {

@@ -83,6 +83,17 @@ const fn of_rejection(rejection: Rejection) -> (&'static str, &'static str) {
         Rejection::WrongIdentity => {
             ("wrong-identity", "Upload again; the sensor keeps the calibration that it had.")
         }
+        Rejection::NoCalibration => ("uncalibrated", "Upload a calibration with `ftcal upload`."),
+        Rejection::NoSuchGage => {
+            ("no-such-gage", "Gages are counted from zero; `ftcal info` says how many there are.")
+        }
+        Rejection::GageNeeded => {
+            ("gage-needed", "Have the gage repaired; `ftcal health --with-all` measures with all of them.")
+        }
+        Rejection::SelfTestRunning => ("self-test-running", "Wait until it is over: a few seconds."),
+        Rejection::UnusableLimit => {
+            ("unusable-limit", "Check the numbers; the sensor keeps those that it had.")
+        }
     }
 }
 

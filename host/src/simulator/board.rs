@@ -34,7 +34,7 @@ use crate::link::serial::BAUD_RATE;
 use crate::link::transport::{Transport, TransportError};
 
 /// Time between two ticks.
-const TICK_MICROS: u64 = 5_000;
+const TICK_MICROS: u64 = 2_000;
 /// Bytes that wait for the line at most.
 const LINE_BUFFER: usize = 4096;
 /// Bits on the line for each byte: a start bit, eight of data, a stop bit.

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::health_message::{HealthRequest, HealthResponse};
 use super::report::{CodesFrame, Coverage, Solution, Status, TrialStatus, WrenchFrame};
 use crate::refusal::Refusal;
 use crate::units::{DataRate, Dof, Gain, MAX_DOF, MAX_GAGES};
@@ -78,6 +79,8 @@ pub enum Request {
     /// What has the trial seen, and what not? Answered by [`Response::Coverage`] when computed. A running trial goes on
     /// afterwards; samples that come meanwhile are not taken in.
     Coverage,
+    /// About the sensor's health. Answered by [`Response::Health`].
+    Health(HealthRequest),
 }
 
 /// What the sensor sends unasked.
@@ -112,6 +115,8 @@ pub enum Response {
     Rejected(Rejection),
     /// What the trial has seen, and what not.
     Coverage(Coverage),
+    /// About the sensor's health.
+    Health(HealthResponse),
 }
 
 /// Why a request is not served.
@@ -130,6 +135,16 @@ pub enum Rejection {
     UnusableNumbers,
     /// The calibration's checksum does not match its numbers.
     WrongIdentity,
+    /// There is no wrench to take a tare of, or to leave a gage out of: the sensor has no calibration.
+    NoCalibration,
+    /// The sensor has no such gage.
+    NoSuchGage,
+    /// The wrench cannot be had without this gage, or with so much more noise that it is none.
+    GageNeeded,
+    /// A self-test is under way.
+    SelfTestRunning,
+    /// A limit is negative or no number, a threshold's hysteresis is larger than its level, or a tare is of no sample.
+    UnusableLimit,
 }
 
 /// A calibration in the sensor's own form.

@@ -12,9 +12,16 @@
 //! numbered by their position: new ones go to the end.
 
 pub mod frame;
+pub mod health;
+mod health_message;
 mod message;
 mod report;
 
+pub use health_message::{
+    Found, HealthReport, HealthRequest, HealthResponse, LoadLimits, LoadThreshold, MAX_OUTCOMES,
+    ParityReport, PlayedFault, SelfTestOutcome, SelfTestPhase, SelfTestReport, TarePhase, TareRefusal,
+    TareReport,
+};
 pub use message::{
     CalibrationUpload, GageList, Hello, PRODUCT, PROTOCOL_VERSION, Rejection, Request, RequestId, Response,
     StreamKind, ToDevice, ToHost,

@@ -199,4 +199,10 @@ pub enum InvalidCause {
     Adc(AdcFault),
     /// The converter's gain was changed since the calibration was uploaded: its counts are of another size now.
     GainChanged,
+    /// These gages repeat their code, as no live input does: bit k for gage k.
+    OpenInput(u16),
+    /// The gages contradict each other by more than noise can: no load whatever gives these codes.
+    GagesContradict,
+    /// Faults are being played.
+    SelfTest,
 }
