@@ -1,8 +1,15 @@
 //! Acquisition: a converter that is started, watched and, when it fails, started again.
 //!
-//! Nothing here waits for the converter. It announces its conversions; when it stops doing so for longer than
-//! ten conversion periods, or when eight replies in a row are corrupted, it counts as faulty, produces no sample, and is
-//! started anew twice a second.
+//! Nothing here waits for the converter. It announces its conversions; when it does not for [`OVERDUE_PERIODS`], it counts as
+//! silent, and produces no sample until it is heard again. When it is silent for longer, or when eight replies in a row are
+//! corrupted, it is started anew, twice a second.
+//!
+//! # A converter that repeats itself, or answers late
+//!
+//! A conversion whose codes are all those of the one before, bit by bit, is no conversion, whatever its data-ready bits say. It may
+//! be chance, where there are few gages; it may be the first reply of a converter that from now on answers one frame late,
+//! with codes that look as good as any. So it is thrown away, and with it every other until the converter has said who it is in
+//! the frame in which it must. It is asked so every [`QUESTION_MICROS`] besides, for whatever is not told by a repetition.
 
 use embedded_hal::delay::DelayNs;
 use embedded_hal::spi::SpiDevice;
@@ -10,13 +17,21 @@ use ftcal_shared::fault::AdcFault;
 use ftcal_shared::units::{AdcCode, DataRate, DeviceTime, Gain, SampleIndex};
 use ftcal_shared::wire::AdcState;
 
-use crate::adc::{AdcSettings, Ads131m08, CHANNELS, ChannelMask, Conversion};
+use crate::adc::{AdcSettings, Ads131m08, CHANNELS, ChannelMask, Conversion, Input};
+use crate::health::{Injection, Injector, InputWatch, is_disturbance};
 
 /// Conversion periods without data-ready after which the converter counts as silent.
-const SILENCE_PERIODS: u64 = 10;
+const OVERDUE_PERIODS: u64 = 2;
 
-/// The shortest silence that counts: ticks are no closer than this, and the serial tunnel of the emulator no quicker.
+/// The shortest silence that counts: on the board a few ticks; in the emulator what its serial tunnel may take.
+const LEAST_OVERDUE_MICROS: u64 = if cfg!(feature = "emulated") { LEAST_SILENCE_MICROS } else { 4_000 };
+
+/// Conversion periods without data-ready after which the converter is started anew, and the least of such a silence.
+const SILENCE_PERIODS: u64 = 10;
 const LEAST_SILENCE_MICROS: u64 = 100_000;
+
+/// Between two questions who the converter is.
+const QUESTION_MICROS: u32 = 8_000;
 
 /// Corrupted replies in a row after which the bus counts as broken rather than disturbed.
 const LARGEST_CORRUPTED_RUN: u8 = 8;
@@ -33,6 +48,10 @@ pub struct Sample<const GAGES: usize> {
     pub time: DeviceTime,
     /// The codes, one a gage.
     pub codes: [AdcCode; GAGES],
+    /// Gages that repeat their code as no live input does: bit k for gage k.
+    pub repeating: u16,
+    /// Conversions are missing between the sample before and this one.
+    pub after_gap: bool,
 }
 
 /// Counts of conversions since the start.
@@ -48,7 +67,8 @@ pub struct ConversionCounters {
 
 /// The converter on its bus, with `GAGES` of its channels in use.
 pub struct Acquisition<Spi, const GAGES: usize> {
-    adc: Ads131m08<Spi>,
+    adc: Ads131m08<Injector<Spi>>,
+    inputs: InputWatch<GAGES>,
     settings: AdcSettings,
     state: AdcState,
     counters: ConversionCounters,
@@ -61,6 +81,12 @@ pub struct Acquisition<Spi, const GAGES: usize> {
     /// The converter fell silent, and has not been heard since, restarted or not.
     silent: bool,
     corrupted_run: u8,
+    /// Conversions until the converter is asked who it is.
+    until_question: u32,
+    /// It has repeated itself, and not said who it is since.
+    in_doubt: bool,
+    /// Conversions were lost or thrown away since the last sample.
+    after_gap: bool,
 }
 
 impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
@@ -73,7 +99,8 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
     pub fn new(spi: Spi) -> Self {
         let () = Self::GAGES_FIT;
         Self {
-            adc: Ads131m08::new(spi),
+            adc: Ads131m08::new(Injector::new(spi)),
+            inputs: InputWatch::new(),
             settings: AdcSettings { channels: Self::CHANNELS, ..AdcSettings::default() },
             state: AdcState::Starting,
             counters: ConversionCounters::default(),
@@ -83,6 +110,9 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
             last_announced: None,
             silent: false,
             corrupted_run: 0,
+            until_question: 0,
+            in_doubt: false,
+            after_gap: false,
         }
     }
 
@@ -119,8 +149,25 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
     pub fn configure(&mut self, data_rate: DataRate, gain: Gain) {
         self.settings.data_rate = data_rate;
         self.settings.gain = gain;
+        self.restart();
+    }
+
+    /// Has the converter measure something else, from the next [`Acquisition::tick`] on.
+    pub(crate) fn connect(&mut self, input: Input) {
+        self.settings.input = input;
+        self.restart();
+    }
+
+    /// Has the next [`Acquisition::tick`] start the converter.
+    pub(crate) const fn restart(&mut self) {
         self.state = AdcState::Starting;
+        self.silent = false;
         self.last_start = None;
+    }
+
+    /// Plays a fault on the converter's bus, or none.
+    pub(crate) const fn play(&mut self, injection: Option<Injection>) {
+        self.adc.bus_mut().play(injection);
     }
 
     /// Watches the converter and starts it where it is due. Takes some milliseconds when it starts the converter, during
@@ -161,17 +208,15 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
         let index = self.next_index;
         self.next_index = index.next();
         Some(match conversion {
-            Ok(conversion) => {
+            Ok((codes, repeating)) => {
                 self.corrupted_run = 0;
                 self.silent = false;
                 self.counters.read = self.counters.read.wrapping_add(1);
-                Ok(Sample {
-                    index,
-                    time: announced,
-                    codes: core::array::from_fn(|gage| conversion.codes[gage]),
-                })
+                let after_gap = core::mem::take(&mut self.after_gap);
+                Ok(Sample { index, time: announced, codes, repeating, after_gap })
             }
             Err(fault) => {
+                self.after_gap = true;
                 self.counters.corrupted = self.counters.corrupted.wrapping_add(1);
                 self.corrupted_run += 1;
                 if !is_disturbance(fault) || self.corrupted_run >= LARGEST_CORRUPTED_RUN {
@@ -182,18 +227,43 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
         })
     }
 
-    /// Reads the newest conversion. The converter keeps up to two conversions for a reader that is late; after a pause
-    /// the older one is thrown away, or every sample from then on would be one conversion old.
-    fn read(&mut self, announced: DeviceTime) -> Result<Conversion, AdcFault> {
+    /// Reads the newest conversion, and which gages repeat themselves. The converter keeps up to two conversions for a reader that is
+    /// late; after a pause the older one is thrown away, or every sample from then on would be one conversion old.
+    fn read(&mut self, announced: DeviceTime) -> Result<([AdcCode; GAGES], u16), AdcFault> {
         if self.count_lost_before(announced) > 0 {
-            self.adc.discard_backlog()?;
+            self.after_gap = true;
+            self.adc.read_conversion()?;
         }
-        let conversion = self.adc.read_conversion()?;
-        // Without its data-ready bit a code is the one before, once more.
-        if conversion.status.data_ready().contains(Self::CHANNELS) {
-            Ok(conversion)
+        let conversion = self.read_or_ask()?;
+        match conversion.status {
+            // It was asked who it is, and has said so in time.
+            None => self.in_doubt = false,
+            // Without its data-ready bit a code is the one before, once more.
+            Some(status) if !status.data_ready().contains(Self::CHANNELS) => {
+                return Err(AdcFault::StaleConversion);
+            }
+            Some(_) => {}
+        }
+        let codes = core::array::from_fn(|gage| conversion.codes[gage]);
+        if self.settings.input != Input::Pins {
+            // The converter's own signals are as still as they are.
+            return Ok((codes, 0));
+        }
+        let repetition = self.inputs.push(&codes);
+        if repetition.of_all {
+            self.in_doubt = true;
+            self.until_question = 0;
+        }
+        if self.in_doubt { Err(AdcFault::StaleConversion) } else { Ok((codes, repetition.lasting)) }
+    }
+
+    fn read_or_ask(&mut self) -> Result<Conversion, AdcFault> {
+        if let Some(left) = self.until_question.checked_sub(1) {
+            self.until_question = left;
+            self.adc.read_conversion()
         } else {
-            Err(AdcFault::StaleConversion)
+            self.until_question = (self.settings.data_rate.hertz() / (1_000_000 / QUESTION_MICROS)).max(1);
+            self.adc.read_conversion_and_ask()
         }
     }
 
@@ -202,6 +272,9 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
         self.last_read = None;
         self.last_announced = None;
         self.corrupted_run = 0;
+        self.in_doubt = false;
+        self.after_gap = true;
+        self.inputs.restart();
         self.state = match self.adc.start(delay, self.settings) {
             Ok(()) => AdcState::Running,
             Err(fault) => AdcState::Faulty(fault),
@@ -209,12 +282,15 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
     }
 
     fn check_silence(&mut self, now: DeviceTime) {
-        let allowed = (SILENCE_PERIODS * self.period_micros()).max(LEAST_SILENCE_MICROS);
+        let period = self.period_micros();
         // Starting takes its time, so before the first conversion the silence counts from the first look after it.
         let last = *self.last_read.get_or_insert(now);
-        if micros_since(now, last) > allowed {
-            self.state = AdcState::Faulty(AdcFault::DataReadyLost);
+        let silence = micros_since(now, last);
+        if silence > (OVERDUE_PERIODS * period).max(LEAST_OVERDUE_MICROS) {
             self.silent = true;
+        }
+        if silence > (SILENCE_PERIODS * period).max(LEAST_SILENCE_MICROS) {
+            self.state = AdcState::Faulty(AdcFault::DataReadyLost);
         }
     }
 
@@ -233,15 +309,6 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
     fn period_micros(&self) -> u64 {
         1_000_000 / u64::from(self.settings.data_rate.hertz())
     }
-}
-
-/// Whether this is a disturbance of one transfer, which the next may be free of. Everything else says that the converter
-/// is no longer what it was set up to be.
-const fn is_disturbance(fault: AdcFault) -> bool {
-    matches!(
-        fault,
-        AdcFault::ReplyCorrupted | AdcFault::CommandCorrupted | AdcFault::StaleConversion | AdcFault::Bus
-    )
 }
 
 const fn micros_since(now: DeviceTime, earlier: DeviceTime) -> u64 {

@@ -4,7 +4,7 @@
 //!            data ready                                    bytes from the host
 //!                │                                                │
 //!        [`acquisition`] ── codes ──► [`sensor`] ◄── request ── [`session`]
-//!          [`adc`] driver          [`trial`], calibration         │
+//!          [`adc`] driver    [`trial`], calibration, [`health`]   │
 //!                │                        │                       │
 //!           any SPI bus                 moments                responses
 //!                                          │                       │
@@ -27,6 +27,7 @@
 pub mod acquisition;
 pub mod adc;
 pub mod black_box;
+pub mod health;
 pub mod long_count;
 pub mod sensor;
 pub mod session;

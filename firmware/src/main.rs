@@ -4,7 +4,7 @@
 //! |---|---|---|---|
 //! | 4 | `link` | USART2 | moves bytes between the line and two queues, nothing else |
 //! | 3 | `sample` | EXTI9_5: data-ready | the sample path: read, take into the trial, apply, queue the outcome |
-//! | 3 | `tick` | SysTick, every 10 ms | watches over the converter, starts it where it is due |
+//! | 3 | `tick` | SysTick, every 2 ms | watches over the converter, starts it where it is due |
 //! | 2 | `session` | TIM7, raised by hand | decodes requests, has them answered, puts samples together into frames |
 //! | 0 | `idle` | none | reads the memory at the start; then solves trials and stores, in the background |
 //!
@@ -264,7 +264,7 @@ mod app {
         }
     }
 
-    /// Solves trials and stores, or sleeps. A job that comes just before the sleep waits for the next interrupt: 10 ms at most.
+    /// Solves trials and stores, or sleeps. A job that comes just before the sleep waits for the next interrupt: 2 ms at most.
     #[idle(local = [memory], shared = [sensor, job, store_job, outcome, &vitality])]
     fn idle(mut context: idle::Context) -> ! {
         let memory = context.local.memory;

@@ -1,4 +1,8 @@
-//! The sensor as a whole: samples in, frames out; requests in, responses out.
+//! The sensor as a whole: samples in, frames out; requests in, responses out. Requests about its health, and about what it
+//! keeps, are served in files of their own.
+
+mod health;
+mod keeping;
 
 use core::ops::DerefMut;
 
@@ -6,17 +10,18 @@ use embedded_hal::delay::DelayNs;
 use embedded_hal::spi::SpiDevice;
 use ftcal_shared::estimation::application::{RealTimeCalibration, UnusableCalibration};
 use ftcal_shared::estimation::bins::Bins;
+use ftcal_shared::estimation::parity::ParitySpace;
+use ftcal_shared::fault::AdcFault;
 use ftcal_shared::units::{AdcCode, DeviceTime, Gain, SampleIndex};
+use ftcal_shared::wire::health::StatusBit;
 use ftcal_shared::wire::{
-    AdcState, CalibrationUpload, ClockSource, CodesFrame, GageList, Identity, InvalidCause, KeptCalibration,
-    KeptCalibrations, MemoryRequest, PackedWrenches, Rejection, Request, Response, Status, StreamKind,
+    AdcState, CalibrationUpload, ClockSource, CodesFrame, GageList, Identity, InvalidCause, KeptCalibrations,
+    PackedWrenches, Rejection, Request, Response, Status, StreamKind,
 };
 
 use crate::acquisition::{Acquisition, Sample};
-use crate::adc::AdcSettings;
-use crate::storage::items::{Settings, StoredCalibration};
-use crate::storage::job::{StoreJob, Stored};
-use crate::storage::memory::{Kept, StorageError};
+use crate::health::{Health, Observed, SelfTest, is_disturbance};
+use crate::storage::job::StoreJob;
 use crate::stream::{Measurement, Moment, SilentMoment, WrenchMoment};
 use crate::trial::{SolveJob, Trial};
 
@@ -51,6 +56,8 @@ pub struct Sensor<Spi, Store, const GAGES: usize, const HIGHER: usize> {
     identity: Identity,
     /// A [`StoreJob`] is out.
     storing: bool,
+    health: Health<GAGES>,
+    self_test: SelfTest<GAGES>,
     stream: StreamKind,
     clock: ClockSource,
 }
@@ -60,6 +67,7 @@ struct LoadedCalibration<const GAGES: usize> {
     upload: CalibrationUpload,
     /// The gain that it was made at: its counts are counts at this gain.
     gain: Gain,
+    /// Of all gages, or of all but one.
     real_time: RealTimeCalibration<GAGES>,
 }
 
@@ -68,14 +76,7 @@ impl<const GAGES: usize> LoadedCalibration<GAGES> {
         if upload.identity != upload.identity_of_numbers() {
             return Err(Rejection::WrongIdentity);
         }
-        let real_time = RealTimeCalibration::new(upload.dof, &upload.matrix, &upload.bias_counts).map_err(
-            |unusable| match unusable {
-                UnusableCalibration::WrongDimensions => Rejection::WrongDimensions,
-                UnusableCalibration::NonFinite | UnusableCalibration::BiasOutOfRange => {
-                    Rejection::UnusableNumbers
-                }
-            },
-        )?;
+        let real_time = prepared(&upload)?;
         Ok(Self { upload, gain, real_time })
     }
 }
@@ -94,27 +95,10 @@ where
             kept: KeptCalibrations::default(),
             identity: Identity::default(),
             storing: false,
+            health: Health::new(),
+            self_test: SelfTest::new(),
             stream: StreamKind::Off,
             clock,
-        }
-    }
-
-    /// Takes up what was kept across the reset: to be called once, as soon as the memory is read. A calibration is used at the gain
-    /// that it was made at, unless settings were kept that say otherwise.
-    pub fn restore(&mut self, kept: Result<Kept, StorageError>) {
-        let Ok(kept) = kept else {
-            self.kept.current = KeptCalibration::Unreadable;
-            return;
-        };
-        let mut settings = kept.settings;
-        if let Some(StoredCalibration { gain, .. }) = kept.calibration {
-            let data_rate = self.acquisition.settings().data_rate;
-            settings = settings.or(Some(Settings { data_rate, gain }));
-        }
-        // Why it cannot be used, the status says.
-        let _ = self.take_up(kept, true);
-        if let Some(Settings { data_rate, gain }) = settings {
-            self.acquisition.configure(data_rate, gain);
         }
     }
 
@@ -122,16 +106,24 @@ where
     /// fault, the host is told so at every tick, instead of hearing nothing.
     pub fn tick(&mut self, now: DeviceTime, delay: &mut impl DelayNs) -> Option<Moment> {
         self.acquisition.tick(now, delay);
+        self.note_conditions();
         match self.acquisition.state() {
-            AdcState::Faulty(fault) if self.stream == StreamKind::Wrench => {
-                Some(Moment::Silence(SilentMoment {
-                    next: self.acquisition.next_index(),
-                    time: now,
-                    status: 0,
-                    cause: InvalidCause::Adc(fault),
-                }))
+            AdcState::Faulty(fault) => {
+                self.health.note_fault(false);
+                self.observe(now, &Observed::Fault(fault));
+                (self.stream == StreamKind::Wrench).then(|| {
+                    Moment::Silence(SilentMoment {
+                        next: self.acquisition.next_index(),
+                        time: now,
+                        status: self.status_word().frame_bits(),
+                        cause: self.cause_of(fault),
+                    })
+                })
             }
-            AdcState::Faulty(_) | AdcState::Starting | AdcState::Running => None,
+            AdcState::Starting | AdcState::Running => {
+                self.observe(now, &Observed::Nothing);
+                None
+            }
         }
     }
 
@@ -139,13 +131,20 @@ where
     /// calibration. Allocates nothing and waits for nothing but the bus transfer. For the two times see
     /// [`Acquisition::on_data_ready`].
     pub fn on_data_ready(&mut self, now: DeviceTime, announced: DeviceTime) -> Option<Moment> {
+        if self.self_test.ignores_data_ready() {
+            return None;
+        }
         match self.acquisition.on_data_ready(now, announced)? {
             Ok(sample) => {
                 self.trial.offer(sample.index, &sample.codes);
-                self.moment(&sample, now)
+                let measurement = self.measure(&sample);
+                self.observe(now, &Observed::Sample(&sample.codes, self.health.live()));
+                self.moment(&sample, now, measurement)
             }
             Err(fault) => {
-                let measurement = Measurement::Invalid(InvalidCause::Adc(fault));
+                self.health.note_fault(is_disturbance(fault));
+                self.observe(now, &Observed::Fault(fault));
+                let measurement = Measurement::Invalid(self.cause_of(fault));
                 let index = self.acquisition.last_index();
                 (self.stream == StreamKind::Wrench)
                     .then(|| self.wrench_moment(index, announced, now, measurement))
@@ -162,8 +161,9 @@ where
     ) -> Reaction<Store, GAGES, HIGHER> {
         let served = match request {
             Request::Status => Ok(Response::Status(self.status(now, link))),
-            Request::ConfigureAdc(data_rate, gain) => self.trial.require_idle().map(|()| {
+            Request::ConfigureAdc(data_rate, gain) => self.require_peace().map(|()| {
                 self.acquisition.configure(data_rate, gain);
+                self.health.relearn(data_rate);
                 Response::Done
             }),
             Request::Stream(kind) => self.require_nothing_stored(kind != StreamKind::Off).map(|()| {
@@ -172,6 +172,7 @@ where
             }),
             Request::StartTrial { rank } => self
                 .require_nothing_stored(true)
+                .and_then(|()| self.require_no_self_test())
                 .and_then(|()| self.trial.start(rank))
                 .map(|()| Response::Done),
             Request::StopTrial => self.trial.stop().map(Response::Trial),
@@ -185,77 +186,20 @@ where
                 Err(rejection) => Err(rejection),
             },
             Request::Diagnosis => return Reaction::Diagnose,
-            Request::UploadCalibration(upload) => {
-                // The one before stays in use where the new one is refused.
-                LoadedCalibration::new(upload, self.acquisition.settings().gain).map(|loaded| {
-                    self.calibration = Some(loaded);
-                    self.calibration_response()
-                })
-            }
+            Request::UploadCalibration(upload) => self
+                .require_no_self_test()
+                .and_then(|()| self.load(upload))
+                .map(|()| self.calibration_response()),
             Request::ReadCalibration => Ok(self.calibration_response()),
             Request::ReadIdentity => Ok(Response::Identity(self.identity.clone())),
             Request::Memory(request) => match self.store_job(request) {
                 Ok(job) => return Reaction::Store(job),
                 Err(rejection) => Err(rejection),
             },
+            Request::Health(request) => self.answer_about_health(request, now).map(Response::Health),
         };
+        self.note_conditions();
         Reaction::Respond(served.unwrap_or_else(Response::Rejected))
-    }
-
-    /// What a request asks of the memory. Nothing is asked of it while samples are streamed or summed up; see
-    /// [`crate::storage::job`].
-    fn store_job(&mut self, request: MemoryRequest) -> Result<StoreJob, Rejection> {
-        self.require_nothing_stored(true)?;
-        if self.stream != StreamKind::Off || self.trial.require_idle().is_err() {
-            return Err(Rejection::Measuring);
-        }
-        let job = match request {
-            MemoryRequest::StoreCalibration => {
-                let LoadedCalibration { upload, gain, .. } =
-                    self.calibration.as_ref().ok_or(Rejection::Uncalibrated)?;
-                StoreJob::Calibration(StoredCalibration { upload: upload.clone(), gain: *gain })
-            }
-            MemoryRequest::RollBack { to } => StoreJob::RollBack(to),
-            MemoryRequest::StoreSettings => {
-                let &AdcSettings { data_rate, gain, .. } = self.acquisition.settings();
-                StoreJob::Settings(Settings { data_rate, gain })
-            }
-            MemoryRequest::WriteName(name) => StoreJob::Name(name),
-        };
-        self.storing = true;
-        Ok(job)
-    }
-
-    /// Takes up what came of a [`StoreJob`], and says what to answer.
-    pub fn finish_storing(&mut self, stored: Stored) -> Response {
-        self.storing = false;
-        match stored.kept.map(|kept| self.take_up(kept, stored.is_rollback)) {
-            Err(error) => Response::Rejected(error.into()),
-            Ok(Err(rejection)) => Response::Rejected(rejection),
-            Ok(Ok(())) if stored.is_rollback => self.calibration_response(),
-            Ok(Ok(())) => Response::Done,
-        }
-    }
-
-    /// Notes what is kept; and uses it, if so wanted.
-    fn take_up(&mut self, kept: Kept, use_it: bool) -> Result<(), Rejection> {
-        let Kept { calibration, calibrations, identity, .. } = kept;
-        self.kept = calibrations;
-        self.identity = identity;
-        let Some(StoredCalibration { upload, gain }) = calibration else { return Ok(()) };
-        let loaded = LoadedCalibration::new(upload, gain);
-        if loaded.is_err() {
-            self.kept.current = KeptCalibration::Unusable;
-        }
-        if use_it {
-            self.calibration = Some(loaded?);
-        }
-        Ok(())
-    }
-
-    /// Nothing that the memory could hold up is started while it is at work.
-    const fn require_nothing_stored(&self, starts: bool) -> Result<(), Rejection> {
-        if starts && self.storing { Err(Rejection::Storing) } else { Ok(()) }
     }
 
     /// Takes a trial back that was solved or asked for its coverage.
@@ -263,17 +207,17 @@ where
         self.trial.finish(job);
     }
 
-    fn moment(&self, sample: &Sample<GAGES>, now: DeviceTime) -> Option<Moment> {
+    fn moment(&self, sample: &Sample<GAGES>, now: DeviceTime, measurement: Measurement) -> Option<Moment> {
         match self.stream {
             StreamKind::Off => None,
+            // What is played is not to be recorded.
+            StreamKind::Codes if self.self_test.is_running() => None,
             StreamKind::Codes => Some(Moment::Codes(CodesFrame {
                 index: sample.index,
                 time: sample.time,
                 codes: GageList::from_slice(&sample.codes).ok()?,
             })),
-            StreamKind::Wrench => {
-                Some(self.wrench_moment(sample.index, sample.time, now, self.measure(&sample.codes)))
-            }
+            StreamKind::Wrench => Some(self.wrench_moment(sample.index, sample.time, now, measurement)),
         }
     }
 
@@ -290,30 +234,60 @@ where
             time,
             announced,
             period_micros: 1_000_000 / self.acquisition.settings().data_rate.hertz(),
-            status: 0,
-            parity: None,
+            status: self.status_word().frame_bits(),
+            parity: self.health.has_parity().then(|| self.last_parity()),
             measurement,
         })
     }
 
-    fn measure(&self, codes: &[AdcCode; GAGES]) -> Measurement {
-        let Some(calibration) = &self.calibration else {
-            return Measurement::Invalid(InvalidCause::Uncalibrated);
+    /// Why there is no wrench while the converter has this fault.
+    fn cause_of(&self, fault: AdcFault) -> InvalidCause {
+        if self.self_test.is_running() { InvalidCause::SelfTest } else { InvalidCause::Adc(fault) }
+    }
+
+    /// Lets the self-test, if one is under way, see what there was to be seen.
+    fn observe(&mut self, now: DeviceTime, observed: &Observed<'_, GAGES>) {
+        if self.self_test.is_running() {
+            let watched = self.health.watched();
+            if self.self_test.observe(now, observed, watched, &mut self.acquisition) {
+                self.health.set(StatusBit::SelfTest, false);
+                self.health.relearn(self.acquisition.settings().data_rate);
+            }
+        }
+    }
+
+    /// Every sample is measured, streamed or not: health is to be known all the time.
+    fn measure(&mut self, sample: &Sample<GAGES>) -> Measurement {
+        let gain = self.acquisition.settings().gain;
+        let (usable, axes, identity) = match &self.calibration {
+            None => (Err(InvalidCause::Uncalibrated), 0, 0),
+            Some(loaded) if loaded.gain != gain => (Err(InvalidCause::GainChanged), 0, 0),
+            Some(loaded) => (Ok(&loaded.real_time), loaded.upload.dof.count(), loaded.upload.identity),
         };
-        if calibration.gain != self.acquisition.settings().gain {
-            return Measurement::Invalid(InvalidCause::GainChanged);
+        match self.health.measure(usable, saturated_channels(&sample.codes), sample) {
+            Err(cause) => Measurement::Invalid(cause),
+            Ok(wrench) if !PackedWrenches::can_hold(&wrench) => Measurement::Invalid(InvalidCause::NonFinite),
+            #[expect(clippy::cast_possible_truncation, reason = "at most six axes")]
+            Ok(wrench) => Measurement::Valid { wrench, axes: axes as u8, calibration: identity },
         }
-        let saturated = saturated_channels(codes);
-        if saturated != 0 {
-            return Measurement::Invalid(InvalidCause::Saturated(saturated));
+    }
+
+    /// Takes a calibration into use. The one before stays in use where the new one is refused.
+    fn load(&mut self, upload: CalibrationUpload) -> Result<(), Rejection> {
+        let gain = self.acquisition.settings().gain;
+        let same = |loaded: &LoadedCalibration<GAGES>| loaded.upload == upload && loaded.gain == gain;
+        if self.calibration.as_ref().is_some_and(same) {
+            // Once more, because the answer was lost: tare and noise are of this very calibration.
+            return Ok(());
         }
-        let wrench = calibration.real_time.apply(codes);
-        if !PackedWrenches::can_hold(&wrench) {
-            return Measurement::Invalid(InvalidCause::NonFinite);
-        }
-        #[expect(clippy::cast_possible_truncation, reason = "at most six axes")]
-        let axes = calibration.upload.dof.count() as u8;
-        Measurement::Valid { wrench, axes, calibration: calibration.upload.identity }
+        LoadedCalibration::new(upload, gain).map(|loaded| self.use_calibration(loaded))
+    }
+
+    fn use_calibration(&mut self, loaded: LoadedCalibration<GAGES>) {
+        let data_rate = self.acquisition.settings().data_rate;
+        self.health.watch(ParitySpace::new(&loaded.real_time.matrix()), None, data_rate);
+        self.health.start_anew();
+        self.calibration = Some(loaded);
     }
 
     fn calibration_response(&self) -> Response {
@@ -343,6 +317,18 @@ where
             kept: self.kept,
         }
     }
+}
+
+/// A calibration in the form that the sample path applies.
+fn prepared<const GAGES: usize>(upload: &CalibrationUpload) -> Result<RealTimeCalibration<GAGES>, Rejection> {
+    RealTimeCalibration::new(upload.dof, &upload.matrix, &upload.bias_counts).map_err(|unusable| {
+        match unusable {
+            UnusableCalibration::WrongDimensions => Rejection::WrongDimensions,
+            UnusableCalibration::NonFinite | UnusableCalibration::BiasOutOfRange => {
+                Rejection::UnusableNumbers
+            }
+        }
+    })
 }
 
 /// Which channels stand at an end of their range: bit k for gage k.

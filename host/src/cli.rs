@@ -16,8 +16,8 @@ use clap::{Parser, Subcommand};
 #[cfg(unix)]
 use crate::commands::sim;
 use crate::commands::{
-    Failure, Streams, apply, calibrate, demo, eval, flash, info, logs, name, ports, print_refusal, record,
-    rollback, settings, solve, stream, trial, upload, verify,
+    Failure, Streams, apply, calibrate, demo, eval, flash, health, info, limits, logs, name, ports,
+    print_refusal, record, rollback, selftest, settings, solve, stream, tare, trial, upload, verify,
 };
 
 /// Input that cannot be used.
@@ -55,6 +55,14 @@ pub enum Command {
     Ports(ports::Arguments),
     /// Tell who the sensor is and how it is.
     Info(info::Arguments),
+    /// Tell how gages and load are, and measure without a gage that is not well.
+    Health(health::Arguments),
+    /// Set and tell what load is too much, and which loads to tell of.
+    Limits(limits::Arguments),
+    /// Set, clear and tell what is subtracted from every wrench.
+    Tare(tare::Arguments),
+    /// Have the sensor play every fault on itself, and tell what it found.
+    Selftest(selftest::Arguments),
     /// Record the raw codes of every gage.
     Record(record::Arguments),
     /// Run a trial on the sensor itself.
@@ -93,6 +101,10 @@ impl Command {
             Self::Verify(arguments) => verify::run(arguments, streams),
             Self::Ports(arguments) => ports::run(arguments, streams),
             Self::Info(arguments) => info::run(arguments, streams),
+            Self::Health(arguments) => health::run(arguments, streams),
+            Self::Limits(arguments) => limits::run(arguments, streams),
+            Self::Tare(arguments) => tare::run(arguments, streams),
+            Self::Selftest(arguments) => selftest::run(arguments, streams),
             Self::Record(arguments) => record::run(arguments, streams),
             Self::Trial(arguments) => trial::run(arguments, streams),
             Self::Upload(arguments) => upload::run(arguments, streams),
@@ -114,6 +126,7 @@ impl Command {
             | Self::Calibrate(calibrate::Arguments { json, .. })
             | Self::Eval(eval::Arguments { json, .. })
             | Self::Verify(verify::Arguments { json, .. })
+            | Self::Health(health::Arguments { json, .. })
             | Self::Info(info::Arguments { json, .. }) => *json,
             Self::Trial(arguments) => arguments.json(),
             _ => false,

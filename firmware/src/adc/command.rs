@@ -24,6 +24,9 @@ pub(super) enum Command {
 /// The frame of continuous reading, ready made.
 pub(super) const NULL_FRAME: Frame = Command::Null.frame();
 
+/// The same, asking who the converter is.
+pub(super) const ASKING_FRAME: Frame = Command::Read(Register::Id).frame();
+
 /// The response to a reset carried out by an ADS131M08; its lower byte is the upper byte of the ID register.
 pub(super) const RESET_RESPONSE: u16 = 0xFF28;
 

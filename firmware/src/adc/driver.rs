@@ -5,8 +5,8 @@ use embedded_hal::spi::SpiDevice;
 use ftcal_shared::fault::AdcFault;
 use ftcal_shared::units::{AdcCode, DataRate};
 
-use super::command::{Command, NULL_FRAME, RESET_RESPONSE};
-use super::registers::{ID_HIGH_BYTE, Register, contents};
+use super::command::{ASKING_FRAME, Command, NULL_FRAME, RESET_RESPONSE};
+use super::registers::{CHANNEL_REGISTERS, ID_HIGH_BYTE, Register, channel_contents, contents};
 use super::reply::Reply;
 use super::settings::AdcSettings;
 use super::status::Status;
@@ -33,10 +33,11 @@ const MODULATOR_START_US: u32 = 74;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(target_os = "none", derive(defmt::Format))]
 pub struct Conversion {
-    /// What the converter said of itself, free of the faults that [`Ads131m08::read_conversion`] reports.
+    /// What the converter said of itself, free of the faults that [`Ads131m08::read_conversion`] reports; `None` where it
+    /// said who it is instead.
     ///
     /// Where [`Status::data_ready`] lacks an enabled channel, that channel's code is one that was read before.
-    pub status: Status,
+    pub status: Option<Status>,
     /// The codes, by channel; zero for a channel that is switched off.
     pub codes: [AdcCode; CHANNELS],
 }
@@ -48,12 +49,19 @@ pub struct Conversion {
 pub struct Ads131m08<Spi> {
     spi: Spi,
     settings: Option<AdcSettings>,
+    /// The frame before asked who the converter is.
+    asked: bool,
 }
 
 impl<Spi: SpiDevice<u8>> Ads131m08<Spi> {
     /// A driver that has yet to talk to its converter: see [`Ads131m08::start`].
     pub const fn new(spi: Spi) -> Self {
-        Self { spi, settings: None }
+        Self { spi, settings: None, asked: false }
+    }
+
+    /// The bus.
+    pub const fn bus_mut(&mut self) -> &mut Spi {
+        &mut self.spi
     }
 
     /// Gives the bus back; the converter goes on converting.
@@ -69,24 +77,36 @@ impl<Spi: SpiDevice<u8>> Ads131m08<Spi> {
     /// Resets the converter, sets it, locks it, makes sure what it is, reads the settings back and waits for its
     /// filters to settle. The next conversion announced is the first to be read, and fit for use.
     ///
-    /// Takes 27 frames and four conversion periods, at most 17 ms of waiting, whatever the converter does. It may be
+    /// Takes 27 frames (59 for another input than the pins) and four conversion periods, at most 17 ms of waiting, whatever the
+    /// converter does. It may be
     /// called at any time, whatever state the converter was left in; after a fault it starts over.
     ///
     /// # Errors
     /// The first fault met. The converter must not be read until a later start succeeds.
     pub fn start(&mut self, delay: &mut impl DelayNs, settings: AdcSettings) -> Result<(), AdcFault> {
         self.settings = None;
+        self.asked = false;
         delay.delay_us(POWER_UP_US);
         self.reset(delay)?;
         let registers = contents(settings);
         for (register, value) in registers {
             self.carry_out(Command::Write(register, value))?;
         }
+        if let Some(input) = channel_contents(settings) {
+            for register in CHANNEL_REGISTERS {
+                self.carry_out(Command::Write(register, input))?;
+            }
+        }
         self.carry_out(Command::Lock)?;
         // Reads come last, when commands are checked: before, a corrupted one could return another register.
         self.identify()?;
         for (register, value) in registers {
             self.verify(register, value)?;
+        }
+        if let Some(input) = channel_contents(settings) {
+            for register in CHANNEL_REGISTERS {
+                self.verify(register, input)?;
+            }
         }
         delay.delay_us(settling_us(settings.data_rate));
         // The writes above changed the register map, which is no fault: this clears the flag they raised, and whether
@@ -106,11 +126,30 @@ impl<Spi: SpiDevice<u8>> Ads131m08<Spi> {
     /// [`AdcFault::UnexpectedReset`], [`AdcFault::RegisterMismatch`] and [`AdcFault::UnexpectedReply`] the settings
     /// are in doubt and a new start is due.
     pub fn read_conversion(&mut self) -> Result<Conversion, AdcFault> {
-        let reply = Reply::open(&self.exchange(&NULL_FRAME)?)?;
+        self.read(false)
+    }
+
+    /// As [`Ads131m08::read_conversion`], with a frame that asks the converter who it is. The next read, whichever it is, makes sure
+    /// that it says so, and has no status.
+    ///
+    /// # Errors
+    /// As [`Ads131m08::read_conversion`]; the next read also reports [`AdcFault::WrongIdentity`], and
+    /// [`AdcFault::UnexpectedReply`] where the answer is not there in time.
+    pub fn read_conversion_and_ask(&mut self) -> Result<Conversion, AdcFault> {
+        self.read(true)
+    }
+
+    fn read(&mut self, ask: bool) -> Result<Conversion, AdcFault> {
+        let asked = core::mem::replace(&mut self.asked, ask);
+        let reply = Reply::open(&self.exchange(if ask { &ASKING_FRAME } else { &NULL_FRAME })?)?;
+        let codes = reply.channels.map(AdcCode::from_be_bytes);
+        if asked {
+            return check_answer(reply.response).map(|()| Conversion { status: None, codes });
+        }
         let status = Status::from_bits(reply.response);
         match status.fault() {
             Some(fault) => Err(fault),
-            None => Ok(Conversion { status, codes: reply.channels.map(AdcCode::from_be_bytes) }),
+            None => Ok(Conversion { status: Some(status), codes }),
         }
     }
 
@@ -191,6 +230,23 @@ impl<Spi: SpiDevice<u8>> Ads131m08<Spi> {
         let mut received = [[0; 3]; FRAME_WORDS];
         self.spi.transfer(received.as_flattened_mut(), sent.as_flattened()).map_err(|_| AdcFault::Bus)?;
         Ok(received)
+    }
+}
+
+/// What is wrong with a converter that answers this when it was asked who it is, while it converts.
+const fn check_answer(id: u16) -> Result<(), AdcFault> {
+    let [high, _] = id.to_be_bytes();
+    if high == ID_HIGH_BYTE {
+        Ok(())
+    } else if id == RESET_RESPONSE {
+        Err(AdcFault::UnexpectedReset)
+    } else if Status::refuses_corrupted_command(id) {
+        Err(AdcFault::CommandCorrupted)
+    } else if Status::from_bits(id).is_locked() {
+        // No identity: a status, which answers what was sent before.
+        Err(AdcFault::UnexpectedReply)
+    } else {
+        Err(AdcFault::WrongIdentity { id })
     }
 }
 

@@ -32,6 +32,10 @@
 //! - *State*: in continuous reading the status must be that of a locked converter in the word format set, that was not
 //!   reset, received its last command intact and has not seen its registers change; see [`Status`].
 //!
+//! - *Step*: now and then a frame of continuous reading asks who the converter is; the next frame must say so, in the place of
+//!   the status. A converter that answers late, as one does that has lost step with its bus, is found by that alone: all else
+//!   that it says was true one conversion ago ([`Ads131m08::read_conversion_and_ask`]).
+//!
 //! Nothing here loops on the converter's answer: each method sends a fixed number of frames.
 //!
 //! # The two-deep buffer
@@ -53,7 +57,7 @@ mod settings;
 mod status;
 
 pub use driver::{Ads131m08, Conversion};
-pub use settings::{AdcSettings, ChannelMask};
+pub use settings::{AdcSettings, ChannelMask, Input};
 pub use status::{Status, WordLength};
 
 /// Channels of the converter.
@@ -67,6 +71,16 @@ type Word = [u8; 3];
 
 /// All that is sent, or all that is received, while chip-select is low.
 type Frame = [Word; FRAME_WORDS];
+
+/// Bytes in a frame.
+pub(crate) const FRAME_BYTES: usize = 3 * FRAME_WORDS;
+
+/// Puts the right checksum at the end of a frame from the converter whose words were changed.
+pub(crate) fn seal(frame: &mut [u8; FRAME_BYTES]) {
+    let (covered, sum) = frame.split_at_mut(FRAME_BYTES - 3);
+    let (words, _) = covered.as_chunks::<3>();
+    sum.copy_from_slice(&to_word(checksum::checksum(words)));
+}
 
 /// A 16-bit quantity as it stands in its word: at the left end, then zeros (8.5.1.8).
 const fn to_word(value: u16) -> Word {

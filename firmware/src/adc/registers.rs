@@ -1,11 +1,12 @@
 //! The registers the driver uses (datasheet 8.6), and what it writes into them.
 //!
 //! All others keep their value after reset: no global chop, no current detection, no DC block, phase offsets zero,
-//! offset correction 0, gain correction 1, inputs connected to the pins.
+//! offset correction 0, gain correction 1, and, unless asked for otherwise, inputs connected to the pins.
 
 use ftcal_shared::units::{DataRate, Gain};
 
-use super::settings::AdcSettings;
+use super::CHANNELS;
+use super::settings::{AdcSettings, Input};
 
 /// A register, by its address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,6 +22,15 @@ pub(super) enum Register {
     Gain1 = 0x04,
     /// Gains of channels 4 to 7 (8.6.6).
     Gain2 = 0x05,
+    /// What channel 0 converts (8.6.10), and so on.
+    Channel0 = 0x09,
+    Channel1 = 0x0E,
+    Channel2 = 0x13,
+    Channel3 = 0x18,
+    Channel4 = 0x1D,
+    Channel5 = 0x22,
+    Channel6 = 0x27,
+    Channel7 = 0x2C,
     /// The converter's own checksum of its registers 02h to 30h (8.3.13).
     MapChecksum = 0x3E,
 }
@@ -62,6 +72,28 @@ pub(super) fn contents(settings: AdcSettings) -> [(Register, u16); 4] {
     ]
 }
 
+/// The registers that say what each channel converts.
+pub(super) const CHANNEL_REGISTERS: [Register; CHANNELS] = [
+    Register::Channel0,
+    Register::Channel1,
+    Register::Channel2,
+    Register::Channel3,
+    Register::Channel4,
+    Register::Channel5,
+    Register::Channel6,
+    Register::Channel7,
+];
+
+/// What all of them hold: no phase delay, and the input. `None` where that is what they hold after a reset.
+pub(super) const fn channel_contents(settings: AdcSettings) -> Option<u16> {
+    match settings.input {
+        Input::Pins => None,
+        Input::Shorted => Some(0b01),
+        Input::PositiveTestSignal => Some(0b10),
+        Input::NegativeTestSignal => Some(0b11),
+    }
+}
+
 /// Crystal oscillator on (bit 7 clear), internal reference (bit 6 clear).
 fn clock(settings: AdcSettings) -> u16 {
     u16::from(settings.channels.bits()) << 8
@@ -101,7 +133,7 @@ const fn gain_code(gain: Gain) -> u16 {
 mod tests {
     use ftcal_shared::units::{DataRate, Gain};
 
-    use super::{Register, contents, gain_code, oversampling_code};
+    use super::{CHANNEL_REGISTERS, Register, contents, gain_code, oversampling_code};
     use crate::adc::settings::{AdcSettings, ChannelMask};
 
     #[test]
@@ -122,8 +154,7 @@ mod tests {
     /// the registers' reset values but for the two checks switched on and the reset flag cleared.
     #[test]
     fn settings_after_reset_are_the_reset_values() {
-        let settings =
-            AdcSettings { data_rate: DataRate::Hz4000, gain: Gain::X1, channels: ChannelMask::ALL };
+        let settings = AdcSettings { data_rate: DataRate::Hz4000, gain: Gain::X1, ..AdcSettings::default() };
         assert_eq!(
             contents(settings),
             [
@@ -143,6 +174,14 @@ mod tests {
             assert_eq!(clock >> 8, 1 << channel);
             let nibble = if channel < 4 { gain1 >> (4 * channel) } else { gain2 >> (4 * (channel - 4)) };
             assert_eq!(nibble & 0xF, gain_code(settings.gain));
+        }
+    }
+
+    /// Five registers for each channel, from 09h on.
+    #[test]
+    fn channels_have_their_registers_in_order() {
+        for (channel, register) in (0_u8..).zip(CHANNEL_REGISTERS) {
+            assert_eq!(register.address(), 0x09 + 5 * channel);
         }
     }
 }

@@ -43,4 +43,26 @@ pub struct AdcSettings {
     pub gain: Gain,
     /// The channels that convert; the others read as zero.
     pub channels: ChannelMask,
+    /// What they convert.
+    pub input: Input,
+}
+
+/// What a channel's amplifier is connected to (8.3.2).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(target_os = "none", derive(defmt::Format))]
+pub enum Input {
+    /// The channel's own pins.
+    #[default]
+    Pins,
+    /// A short circuit inside of the converter: code zero, but for offset and noise.
+    Shorted,
+    /// A voltage of 2/15 of the reference over the gain: [`Input::TEST_SIGNAL_COUNTS`] at any gain.
+    PositiveTestSignal,
+    /// The same with the opposite sign.
+    NegativeTestSignal,
+}
+
+impl Input {
+    /// The code of the positive test signal: 2/15 of 2²³.
+    pub const TEST_SIGNAL_COUNTS: i32 = (2 << 23) / 15;
 }

@@ -1,7 +1,7 @@
 //! Microseconds since the start: TIM2, a 32-bit counter at 1 MHz, extended to 64 bits by [`long_count`].
 //!
 //! Reading it takes no lock and is right at every priority. It serves as the delay of drivers, too. Its overflow needs no
-//! interrupt: the tick, a hundred times a second, follows it.
+//! interrupt: the tick, many times a second, follows it.
 //!
 //! Why this counter: it is the longest that the chip has, and it counts in the emulator, too, which has no cycle counter and no
 //! timer compare flags. The rate at which it does so there is known to the carrier.

@@ -3,10 +3,11 @@
 use std::io::{self, Write};
 
 use clap::Args;
-use ftcal_shared::wire::{AdcState, Diagnosis, Hello, Identity, KeptCalibration, Status};
+use ftcal_shared::wire::{AdcState, Diagnosis, HealthReport, Hello, Identity, KeptCalibration, Status};
 use serde::Serialize;
 
 use super::device::DeviceArgs;
+use super::health::{names, write_status};
 use super::{Failure, Streams, print_json};
 use crate::link::words;
 
@@ -30,12 +31,14 @@ pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> 
     let hello = client.hello()?;
     let status = client.status()?;
     let identity = client.identity()?;
-    let diagnosis = client.diagnosis()?;
+    let (health, diagnosis) = (client.health()?, client.diagnosis()?);
     if arguments.json {
-        print_json(&Info::new(&hello, &status, &identity, &diagnosis), streams.data)?;
+        print_json(&Info::new(&hello, &status, &identity, &health, &diagnosis), streams.data)?;
     } else {
         write_words(streams.data, &hello, &status, &identity)?;
         write_diagnosis(streams.data, &diagnosis)?;
+        writeln!(streams.data, "status       {:#010x}; `ftcal health` says more", health.live.bits())?;
+        write_status(streams.data, health.live)?;
     }
     Ok(())
 }
@@ -109,6 +112,7 @@ struct Info {
     memory: Memory,
     trial: Trial,
     link: Link,
+    status: Vec<&'static str>,
     last_reset: &'static str,
     failure: Option<String>,
     stack: Stack,
@@ -164,7 +168,13 @@ struct Link {
 }
 
 impl Info {
-    fn new(hello: &Hello, status: &Status, identity: &Identity, diagnosis: &Diagnosis) -> Self {
+    fn new(
+        hello: &Hello,
+        status: &Status,
+        identity: &Identity,
+        health: &HealthReport,
+        diagnosis: &Diagnosis,
+    ) -> Self {
         let hexadecimal = |identity: u32| format!("{identity:08x}");
         let (kept, problem) = match status.kept.current {
             KeptCalibration::Calibration(identity) => (Some(hexadecimal(identity)), None),
@@ -213,6 +223,7 @@ impl Info {
                 unattended: status.trial.unattended,
             },
             link: Link { dropped_samples: status.dropped_samples, broken_frames: status.broken_frames },
+            status: names(health.live),
             last_reset: words::reset_cause(diagnosis.reset),
             failure: diagnosis.failure.as_ref().map(words::failure),
             stack: Stack { used_bytes: diagnosis.stack_used_bytes, bytes: diagnosis.stack_bytes },

@@ -6,14 +6,16 @@
 //!
 //! A sensor has one host at a time: [`Client::connect`] ends whatever stream an earlier host left running.
 
+mod health;
+
 use std::collections::VecDeque;
 use std::time::Duration;
 
 use ftcal_shared::units::{DataRate, Gain};
 use ftcal_shared::wire::frame::{Decoder, END_OF_FRAME, encode};
 use ftcal_shared::wire::{
-    AdcState, CalibrationUpload, Coverage, Diagnosis, Hello, PRODUCT, PROTOCOL_VERSION, Request, RequestId,
-    Response, Solution, Status, StreamKind, ToDevice, ToHost, TrialStatus,
+    AdcState, CalibrationUpload, Coverage, Diagnosis, HealthRequest, Hello, PRODUCT, PROTOCOL_VERSION,
+    Request, RequestId, Response, Solution, Status, StreamKind, ToDevice, ToHost, TrialStatus,
 };
 
 use super::continuity::Continuity;
@@ -484,6 +486,7 @@ const fn is_safe_to_repeat(request: &Request) -> bool {
         | Request::ReadCalibration
         | Request::ReadIdentity
         | Request::Memory(_) => true,
+        Request::Health(request) => !matches!(request, HealthRequest::StartSelfTest),
         Request::StartTrial { .. } | Request::SolveTrial | Request::Coverage => false,
     }
 }

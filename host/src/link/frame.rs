@@ -79,6 +79,12 @@ pub enum NoWrench {
     Adc(AdcFault),
     /// The gain was changed since the calibration was uploaded.
     GainChanged,
+    /// These gages repeat their code: bit k for gage k.
+    OpenInput(u16),
+    /// The gages contradict each other.
+    GagesContradict,
+    /// The sensor is testing itself.
+    SelfTest,
     /// It was made with a calibration that the host knows nothing of, so that its axes are unknown.
     UnknownCalibration(u32),
     /// A component is not finite: the calibration's numbers are too large for these codes.
@@ -132,6 +138,9 @@ impl From<InvalidCause> for NoWrench {
             InvalidCause::Adc(fault) => Self::Adc(fault),
             InvalidCause::GainChanged => Self::GainChanged,
             InvalidCause::NonFinite => Self::NonFinite,
+            InvalidCause::OpenInput(gages) => Self::OpenInput(gages),
+            InvalidCause::GagesContradict => Self::GagesContradict,
+            InvalidCause::SelfTest => Self::SelfTest,
         }
     }
 }

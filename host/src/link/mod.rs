@@ -9,12 +9,14 @@
 //! | [`continuity`] | what is missing between samples |
 //! | [`error`] | what can go wrong, the link's troubles apart from the sensor's own |
 //! | [`words`] | what a sensor reports, in words |
+//! | [`health_words`] | the same of its health: status word, tare, self-test |
 //! | [`remedy`] | what to do about each error |
 
 pub mod client;
 pub mod continuity;
 pub mod error;
 pub mod frame;
+pub mod health_words;
 pub mod remedy;
 pub mod serial;
 pub mod transport;

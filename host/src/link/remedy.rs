@@ -98,6 +98,16 @@ const fn of_rejection(rejection: Rejection) -> (&'static str, &'static str) {
             "Try again; if it fails again, the flash is worn or defective, and the sensor works with uploaded \
              calibrations only.",
         ),
+        Rejection::NoSuchGage => {
+            ("no-such-gage", "Gages are counted from zero; `ftcal info` says how many there are.")
+        }
+        Rejection::GageNeeded => {
+            ("gage-needed", "Have the gage repaired; `ftcal health --with-all` measures with all of them.")
+        }
+        Rejection::SelfTestRunning => ("self-test-running", "Wait until it is over: a few seconds."),
+        Rejection::UnusableLimit => {
+            ("unusable-limit", "Check the numbers; the sensor keeps those that it had.")
+        }
     }
 }
 

@@ -63,6 +63,14 @@ pub const fn rejection(rejection: Rejection) -> &'static str {
         Rejection::Uncalibrated => "it has no calibration in use",
         Rejection::NoSuchCalibration => "it keeps no such calibration",
         Rejection::NotStored => "its memory did not take what was to be stored, and keeps what it had",
+        Rejection::NoSuchGage => "the sensor has no such gage",
+        Rejection::GageNeeded => {
+            "without that gage there is no wrench, or one with more than ten times the noise"
+        }
+        Rejection::SelfTestRunning => "a self-test is running",
+        Rejection::UnusableLimit => {
+            "a limit must be more than zero, a hysteresis no more than its threshold, and a tare of one sample at least"
+        }
     }
 }
 
@@ -99,6 +107,14 @@ pub fn no_wrench(cause: NoWrench) -> String {
                                   size; set the gain back, or calibrate at this one"
                 .into()
         }
+        NoWrench::OpenInput(gages) => {
+            format!("{} repeats itself as no live gage does: dead, open or shorted", channel_list(gages))
+        }
+        NoWrench::GagesContradict => {
+            "the gages contradict each other: no load makes such codes. `ftcal health` names the suspect"
+                .into()
+        }
+        NoWrench::SelfTest => "the sensor is testing itself".into(),
         NoWrench::UnknownCalibration(identity) => {
             format!("the calibration {identity:08x} came into use meanwhile; start the stream again")
         }
@@ -110,7 +126,7 @@ pub fn no_wrench(cause: NoWrench) -> String {
 }
 
 /// The channels of a mask: bit k for gage k.
-fn channel_list(mask: u16) -> String {
+pub fn channel_list(mask: u16) -> String {
     let mut words = String::new();
     for channel in (0..u16::BITS).filter(|channel| mask & (1 << channel) != 0) {
         let before = if words.is_empty() { "" } else { ", " };

@@ -129,7 +129,11 @@ impl Bench {
         for (volts, &counts) in volts.iter_mut().zip(counts.iter()) {
             *volts = volts_of_counts(counts);
         }
-        self.faults.disturb_inputs(&mut volts, self.now().as_seconds(), period);
+        let mut unloaded = [0.0; CHANNELS];
+        for (volts, &counts) in unloaded.iter_mut().zip(self.sensor.bias_counts().iter()) {
+            *volts = volts_of_counts(counts);
+        }
+        self.faults.disturb_inputs(&mut volts, &unloaded, self.now().as_seconds(), period);
         let announced = self.converter.convert(&volts);
         announced && !self.faults.converter_missing() && !self.faults.loses_data_ready()
     }

@@ -26,6 +26,9 @@ turn                        turn through all directions (a planar sensor: in the
 fault stuck CHANNEL         the channel repeats its reading
 fault open CHANNEL          the gage's wire is broken
 fault saturated CHANNEL     the channel stands at the end of its range
+fault drifting CHANNEL COUNTS_PER_S  the gage's zero drifts
+fault debonded CHANNEL KEPT the gage has come off: it keeps this share of its signal, 0 to 1
+fault dead CHANNEL          the gage has no supply
 fault noisy CHANNEL COUNTS  the channel has this much more noise
 fault bit-errors P          bits flip on the converter's bus with this probability
 fault no-data-ready P       conversions are not announced with this probability
@@ -128,6 +131,16 @@ fn fault(words: &mut SplitWhitespace) -> Result<Order, OrderError> {
         Some("stuck") => Fault::StuckChannel { channel: channel(words)? },
         Some("open") => Fault::OpenChannel { channel: channel(words)? },
         Some("saturated") => Fault::SaturatedChannel { channel: channel(words)?, rail: Rail::High },
+        Some("drifting") => {
+            let channel = channel(words)?;
+            let counts_per_second = number(words)?.ok_or(OrderError::Expected("counts a second"))?;
+            Fault::DriftingChannel { channel, counts_per_second }
+        }
+        Some("debonded") => {
+            let channel = channel(words)?;
+            Fault::DebondedChannel { channel, kept: probability(words)? }
+        }
+        Some("dead") => Fault::DeadChannel { channel: channel(words)? },
         Some("noisy") => {
             let channel = channel(words)?;
             let noise_counts = number(words)?.filter(|&counts| counts >= 0.0);

@@ -4,6 +4,7 @@
 //! a bias with a fraction would lose that fraction. The bias is split instead: its whole part is subtracted from the
 //! codes in integers, exactly, and its fraction is folded into a constant offset of the wrench.
 
+use super::parity::{GageNeeded, ParitySpace};
 use crate::units::{AdcCode, Dof, MAX_DOF};
 
 /// A calibration in the form that the sample path applies: no allocation, no branch on data, no division.
@@ -49,11 +50,7 @@ impl<const GAGES: usize> RealTimeCalibration<GAGES> {
         }
         let mut prepared =
             Self { dof, columns: [[0.0; MAX_DOF]; GAGES], pivot: [0.0; GAGES], offset: [0.0; MAX_DOF] };
-        for (row, elements) in matrix.chunks_exact(GAGES).enumerate() {
-            for (column, element) in prepared.columns.iter_mut().zip(elements) {
-                column[row] = *element;
-            }
-        }
+        prepared.set_rows(matrix.as_chunks().0);
         let mut fraction = [0.0_f64; GAGES];
         for gage in 0..GAGES {
             #[expect(clippy::cast_possible_truncation, reason = "inside of the converter's range, see above")]
@@ -61,15 +58,32 @@ impl<const GAGES: usize> RealTimeCalibration<GAGES> {
             prepared.pivot[gage] = whole as f32;
             fraction[gage] = bias_counts[gage] - f64::from(whole);
         }
-        for (row, offset) in prepared.offset.iter_mut().enumerate() {
-            let columns = prepared.columns.iter().zip(&fraction);
-            let exact: f64 = columns.map(|(column, part)| f64::from(column[row]) * part).sum();
-            #[expect(clippy::cast_possible_truncation, reason = "rounded to the precision of the wrench")]
-            {
-                *offset = -exact as f32;
-            }
-        }
+        prepared.offset = offset(&prepared.columns, &fraction);
         Ok(prepared)
+    }
+
+    /// The calibration without one gage, given the parity space of this one and the bias that it was prepared from; and the
+    /// parity space that is left.
+    ///
+    /// # Errors
+    ///
+    /// [`GageNeeded`].
+    pub fn without(
+        &self,
+        gage: usize,
+        space: &ParitySpace<GAGES>,
+        bias_counts: &[f64],
+    ) -> Result<(Self, ParitySpace<GAGES>), GageNeeded> {
+        let mut reduced = self.clone();
+        let mut rows = self.matrix();
+        let space = space.without(gage, &mut rows)?;
+        reduced.set_rows(&rows);
+        let mut fraction = [0.0; GAGES];
+        for ((fraction, whole), bias) in fraction.iter_mut().zip(&self.pivot).zip(bias_counts) {
+            *fraction = bias - f64::from(*whole);
+        }
+        reduced.offset = offset(&reduced.columns, &fraction);
+        Ok((reduced, space))
     }
 
     /// The degrees of freedom of the wrench.
@@ -77,23 +91,56 @@ impl<const GAGES: usize> RealTimeCalibration<GAGES> {
         self.dof
     }
 
-    /// The wrench of one sample, in the sensor frame: newton and newton metre in the order of [`Dof::axes`]; elements
-    /// beyond the sensor's degrees of freedom are zero.
-    pub fn apply(&self, codes: &[AdcCode; GAGES]) -> [f32; MAX_DOF] {
+    /// C (m × p), newton and newton metre per count, a row a component.
+    pub fn matrix(&self) -> heapless::Vec<[f32; GAGES], MAX_DOF> {
+        (0..self.dof.count()).map(|row| self.columns.map(|column| column[row])).collect()
+    }
+
+    fn set_rows(&mut self, rows: &[[f32; GAGES]]) {
+        for (row, elements) in rows.iter().enumerate().take(MAX_DOF) {
+            for (column, element) in self.columns.iter_mut().zip(elements) {
+                column[row] = *element;
+            }
+        }
+    }
+
+    /// What the gages read beyond their bias, counts. The fraction of the bias is not in it.
+    pub fn signal(&self, codes: &[AdcCode; GAGES]) -> [f32; GAGES] {
+        // Of two numbers of 24 bits: exact, or rounded by 2⁻²⁵ of its value.
+        core::array::from_fn(|gage| codes[gage].counts() as f32 - self.pivot[gage])
+    }
+
+    /// The wrench of a signal, in the sensor frame: newton and newton metre in the order of [`Dof::axes`]; elements beyond the
+    /// sensor's degrees of freedom are zero.
+    pub fn wrench(&self, signal: &[f32; GAGES]) -> [f32; MAX_DOF] {
         // Component by component, and not as a loop: see `monomials`. Rows beyond the degrees of freedom are zero: to leave
         // them out would cost more than to take them along.
         let [mut a, mut b, mut c, mut d, mut e, mut f] = self.offset;
-        for (column, (code, pivot)) in self.columns.iter().zip(codes.iter().zip(&self.pivot)) {
-            // Of two numbers of 24 bits: exact, or rounded by 2⁻²⁵ of its value.
-            let difference = code.counts() as f32 - pivot;
-            let [of_a, of_b, of_c, of_d, of_e, of_f] = *column;
-            a += of_a * difference;
-            b += of_b * difference;
-            c += of_c * difference;
-            d += of_d * difference;
-            e += of_e * difference;
-            f += of_f * difference;
+        for ([of_a, of_b, of_c, of_d, of_e, of_f], signal) in self.columns.iter().zip(signal) {
+            a += of_a * signal;
+            b += of_b * signal;
+            c += of_c * signal;
+            d += of_d * signal;
+            e += of_e * signal;
+            f += of_f * signal;
         }
         [a, b, c, d, e, f]
     }
+
+    /// The wrench of one sample.
+    pub fn apply(&self, codes: &[AdcCode; GAGES]) -> [f32; MAX_DOF] {
+        self.wrench(&self.signal(codes))
+    }
+}
+
+/// −C·(fraction of the bias).
+fn offset<const GAGES: usize>(columns: &[[f32; MAX_DOF]; GAGES], fraction: &[f64; GAGES]) -> [f32; MAX_DOF] {
+    core::array::from_fn(|row| {
+        let exact: f64 =
+            columns.iter().zip(fraction).map(|(column, part)| f64::from(column[row]) * part).sum();
+        #[expect(clippy::cast_possible_truncation, reason = "rounded to the precision of the wrench")]
+        {
+            -exact as f32
+        }
+    })
 }

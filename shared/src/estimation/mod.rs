@@ -22,6 +22,7 @@
 //! | [`coverage`] | what is still to be seen, and which way to turn the load for it | design § 4 |
 //! | [`calibration`] | calibration matrix of a shape | eq. 5 |
 //! | [`application`] | raw codes to wrench, in real time | eq. 1 |
+//! | [`parity`] | whether the gages agree, which one does not, and the wrench without it | design § 8 |
 //!
 //! A model throughout: `z = b + Sᵀ m + e` with codes z and bias b (p counts), shape S (r × p, counts per unit load) and
 //! a load direction m with |m| = 1.
@@ -40,6 +41,7 @@ pub mod metric;
 pub mod moments;
 mod monomials;
 pub mod motion_moments;
+pub mod parity;
 pub mod projection;
 mod quadric;
 pub mod rest_noise;

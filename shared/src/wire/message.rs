@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::diagnosis::Diagnosis;
+use super::health_message::{HealthRequest, HealthResponse};
 use super::memory::{Identity, MemoryRequest};
 use super::report::{CodesFrame, Coverage, Solution, Status, TrialStatus};
 use super::wrench::WrenchFrame;
@@ -87,6 +88,8 @@ pub enum Request {
     Memory(MemoryRequest),
     /// Why did you start, and how much room have you left? Answered by [`Response::Diagnosis`].
     Diagnosis,
+    /// About the sensor's health. Answered by [`Response::Health`].
+    Health(HealthRequest),
 }
 
 /// What the sensor sends unasked.
@@ -125,6 +128,8 @@ pub enum Response {
     Identity(Identity),
     /// What the board knows of itself.
     Diagnosis(Diagnosis),
+    /// About the sensor's health.
+    Health(HealthResponse),
 }
 
 /// Why a request is not served.
@@ -147,12 +152,20 @@ pub enum Rejection {
     Measuring,
     /// The memory is being written to.
     Storing,
-    /// There is no calibration in use that could be stored.
+    /// There is no calibration in use: none to be stored, and no wrench to take a tare of or to leave a gage out of.
     Uncalibrated,
     /// No calibration of this identity is kept.
     NoSuchCalibration,
     /// The memory did not take it: what was kept before is still kept.
     NotStored,
+    /// The sensor has no such gage.
+    NoSuchGage,
+    /// The wrench cannot be had without this gage, or with so much more noise that it is none.
+    GageNeeded,
+    /// A self-test is under way.
+    SelfTestRunning,
+    /// A limit is negative or no number, a threshold's hysteresis is larger than its level, or a tare is of no sample.
+    UnusableLimit,
 }
 
 /// A calibration in the sensor's own form.

@@ -14,12 +14,19 @@
 
 mod diagnosis;
 pub mod frame;
+pub mod health;
+mod health_message;
 mod memory;
 mod message;
 mod report;
 mod wrench;
 
 pub use diagnosis::{Diagnosis, Failure, MAX_FILE_NAME, ResetCause};
+pub use health_message::{
+    Found, HealthReport, HealthRequest, HealthResponse, LoadLimits, LoadThreshold, MAX_OUTCOMES,
+    ParityReport, PlayedFault, SelfTestOutcome, SelfTestPhase, SelfTestReport, TarePhase, TareRefusal,
+    TareReport,
+};
 pub use memory::{Identity, KeptCalibration, KeptCalibrations, LONGEST_NAME, MemoryRequest, SensorName};
 pub use message::{
     CalibrationUpload, GageList, Hello, PRODUCT, PROTOCOL_VERSION, Rejection, Request, RequestId, Response,

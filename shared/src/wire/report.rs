@@ -179,4 +179,10 @@ pub enum InvalidCause {
     GainChanged,
     /// A component is infinite or beyond all measure: the calibration's numbers are too large for these codes.
     NonFinite,
+    /// These gages repeat their code, as no live input does: bit k for gage k.
+    OpenInput(u16),
+    /// The gages contradict each other by more than noise can: no load whatever gives these codes.
+    GagesContradict,
+    /// Faults are being played.
+    SelfTest,
 }

@@ -13,14 +13,19 @@ use ftcal_shared::units::{AdcCode, DataRate, Gain};
 
 use super::{Ads131m08, Conversion, settling_us};
 use crate::adc::checksum::checksum;
-use crate::adc::settings::{AdcSettings, ChannelMask};
+use crate::adc::settings::{AdcSettings, ChannelMask, Input};
+use crate::adc::status::Status;
 use crate::adc::{FRAME_WORDS, Frame, to_word};
 
 /// What one chip-select frame sends and receives.
 type Exchange = (Frame, Frame);
 
-const SETTINGS: AdcSettings =
-    AdcSettings { data_rate: DataRate::Hz4000, gain: Gain::X128, channels: ChannelMask::new(0b0011_1111) };
+const SETTINGS: AdcSettings = AdcSettings {
+    data_rate: DataRate::Hz4000,
+    gain: Gain::X128,
+    channels: ChannelMask::new(0b0011_1111),
+    input: Input::Pins,
+};
 
 /// The status of a locked, healthy converter with new data on the six channels in use.
 const HEALTHY: u16 = 0x813F;
@@ -215,7 +220,7 @@ fn a_conversion_is_decoded() {
     let counts = [0, 1, -1, 8_388_607, -8_388_608, 0x12_3456, 256, -257];
     let conversion = read(reply_with(HEALTHY, codes));
     assert_eq!(conversion.map(|it| it.codes.map(AdcCode::counts)), Ok(counts));
-    assert_eq!(conversion.map(|it| it.status.data_ready()), Ok(SETTINGS.channels));
+    assert_eq!(conversion.map(|it| it.status.map(Status::data_ready)), Ok(Some(SETTINGS.channels)));
 }
 
 #[test]
@@ -248,6 +253,49 @@ fn the_wait_covers_the_filters() {
         let modulator_cycles = 256 + 44 + oversampling + 2 * oversampling.min(1024);
         assert!(u64::from(settling_us(rate)) * 4_096_000 >= u64::from(modulator_cycles) * 1_000_000);
     }
+}
+
+/// What the read after a question makes of this answer.
+fn answer(response: u16) -> Result<Option<Status>, AdcFault> {
+    let script = [(command(&[0xA000]), reply(HEALTHY)), (command(&[0x0000]), reply(response))];
+    let mut adc = Ads131m08::new(mock(&script));
+    assert_eq!(adc.read_conversion_and_ask().map(|it| it.status), Ok(Some(Status::from_bits(HEALTHY))));
+    let result = adc.read_conversion();
+    assert!(
+        result.is_err() || result.map(|it| it.codes) == Ok([AdcCode::from_be_bytes([0x12, 0x34, 0x56]); 8])
+    );
+    adc.release().done();
+    result.map(|it| it.status)
+}
+
+#[test]
+fn a_question_is_answered_in_the_next_frame_or_the_converter_is_at_fault() {
+    assert_eq!(answer(0x2803), Ok(None));
+    assert_eq!(answer(HEALTHY), Err(AdcFault::UnexpectedReply), "the answer to the frame before: it is late");
+    assert_eq!(answer(HEALTHY | 1 << 12), Err(AdcFault::CommandCorrupted));
+    assert_eq!(answer(0xFF28), Err(AdcFault::UnexpectedReset));
+    assert_eq!(answer(0x2400), Err(AdcFault::WrongIdentity { id: 0x2400 }));
+}
+
+/// Four settings and eight inputs, each written and read back.
+#[test]
+fn another_input_is_set_and_read_back_for_every_channel() {
+    let mut script = start();
+    let channels: Vec<u16> = (0..8).map(|channel| 0x09 + 5 * channel).collect();
+    let null = command(&[0x0000]);
+    let writes = channels.iter().flat_map(|address| {
+        [(command(&[0x6000 | address << 7, 0b10]), reply(0x2100)), (null, reply(0x4000 | address << 7))]
+    });
+    let reads = channels
+        .iter()
+        .flat_map(|address| [(command(&[0xA000 | address << 7]), reply(0x8100)), (null, reply(0b10))]);
+    script.splice(23..23, reads.collect::<Vec<_>>());
+    script.splice(11..11, writes.collect::<Vec<_>>());
+    let mut adc = Ads131m08::new(mock(&script));
+    let settings = AdcSettings { input: Input::PositiveTestSignal, ..SETTINGS };
+    assert_eq!(adc.start(&mut NoopDelay::new(), settings), Ok(()));
+    assert_eq!(adc.settings(), Some(settings));
+    adc.release().done();
 }
 
 #[test]

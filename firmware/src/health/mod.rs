@@ -1,0 +1,332 @@
+//! Health: what the sensor knows of itself, and what it therefore lets through as a wrench.
+//!
+//! | file | watches |
+//! |---|---|
+//! | `input_watch` | inputs that repeat themselves |
+//! | `parity_monitor` | gages that contradict each other; says which |
+//! | `load_watch` | overload, peaks, thresholds |
+//! | `tare` | what is subtracted |
+//! | `self_test`, `injector` | itself: plays faults on the converter's bus, and looks whether they are found |
+//!
+//! Every sample of a calibrated sensor goes through [`Health::measure`], streamed or not. It is a wrench only where nothing speaks
+//! against it; what does is in the status word, whose bits are explained in [`ftcal_shared::wire::health`].
+
+mod injector;
+mod input_watch;
+mod load_watch;
+mod parity_monitor;
+mod self_test;
+mod tare;
+
+use ftcal_shared::estimation::application::RealTimeCalibration;
+use ftcal_shared::estimation::parity::ParitySpace;
+use ftcal_shared::fault::AdcFault;
+use ftcal_shared::units::{DataRate, MAX_DOF};
+use ftcal_shared::wire::health::{StatusBit, StatusWord};
+use ftcal_shared::wire::{HealthReport, InvalidCause, LoadLimits, Rejection, TareReport};
+
+use crate::acquisition::Sample;
+
+pub(crate) use injector::{Injection, Injector};
+pub(crate) use input_watch::InputWatch;
+use load_watch::LoadWatch;
+use parity_monitor::ParityMonitor;
+pub(crate) use self_test::{Observed, SelfTest};
+use tare::{Averaged, Tare};
+
+/// What outlives a reset, where somebody keeps it: see [`Health::kept`] and [`Health::restore`].
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct KeptHealth {
+    /// The limits of the load.
+    pub limits: LoadLimits,
+    /// The tare, if it was to be kept.
+    pub tare: Option<[f32; MAX_DOF]>,
+    /// The largest magnitude of each component ever, newton and newton metre.
+    pub peak_ever: [f32; MAX_DOF],
+}
+
+impl KeptHealth {
+    /// That of a sensor that has nothing kept.
+    pub const NONE: Self = Self { limits: LoadLimits::NONE, tare: None, peak_ever: [0.0; MAX_DOF] };
+}
+
+/// What is known of the sensor's health.
+pub struct Health<const GAGES: usize> {
+    /// What is so until somebody says otherwise.
+    lasting: StatusWord,
+    live: StatusWord,
+    latched: StatusWord,
+    saturated: u16,
+    repeating: u16,
+    /// The gages in use: bit k for gage k.
+    in_use: u16,
+    left_out: Option<u8>,
+    /// ‖π‖² of the last sample, over what noise alone makes of it in the mean.
+    chi_square: f32,
+    parity: Option<ParityMonitor<GAGES>>,
+    loads: LoadWatch,
+    tare: Tare,
+    kept: KeptHealth,
+}
+
+impl<const GAGES: usize> Health<GAGES> {
+    /// Of a sensor that has measured nothing yet.
+    pub const fn new() -> Self {
+        Self {
+            lasting: StatusBit::Unwatched.word(),
+            live: StatusBit::Unwatched.word(),
+            latched: StatusWord::NONE,
+            saturated: 0,
+            repeating: 0,
+            in_use: u16::MAX >> (u16::BITS as usize - GAGES),
+            left_out: None,
+            chi_square: 0.0,
+            parity: None,
+            loads: LoadWatch::new(),
+            tare: Tare::new(),
+            kept: KeptHealth::NONE,
+        }
+    }
+
+    /// The status word as it is now.
+    pub const fn live(&self) -> StatusWord {
+        self.live
+    }
+
+    /// Forgets what was, but for what still is.
+    pub const fn clear_latched(&mut self) {
+        self.latched = self.live;
+    }
+
+    /// Says that something is so, or not, until somebody says otherwise.
+    pub const fn set(&mut self, bit: StatusBit, set: bool) {
+        self.lasting = self.lasting.without(bit).with(bit, set);
+        self.live = self.live.without(bit).with(bit, set);
+        self.latched = self.latched.with(bit, set);
+    }
+
+    /// A calibration came into use, with its parity space: the gages are all in use, or all but one.
+    pub fn watch(&mut self, space: ParitySpace<GAGES>, left_out: Option<u8>, rate: DataRate) {
+        let all = u16::MAX >> (u16::BITS as usize - GAGES);
+        self.left_out = left_out;
+        self.in_use = left_out.map_or(all, |gage| all & !(1 << gage));
+        self.parity = ParityMonitor::new(space, rate);
+        self.set(StatusBit::CarryOn, left_out.is_some());
+        self.set(StatusBit::Unwatched, self.parity.is_none());
+    }
+
+    /// The wrenches of another calibration begin: a tare was of the one before, and so were its axes.
+    pub fn start_anew(&mut self) {
+        self.tare.put(None);
+        self.tare_changed(false);
+    }
+
+    /// Learns the noise anew: the converter's rate or gain is another, or its codes were not the gages'.
+    pub fn relearn(&mut self, rate: DataRate) {
+        self.parity = self.parity.take().and_then(|monitor| ParityMonitor::new(monitor.into_space(), rate));
+    }
+
+    /// The gages whose faults show: bit k for gage k.
+    pub(crate) fn watched(&self) -> u16 {
+        let watching = self.parity.as_ref().filter(|monitor| monitor.is_watching());
+        watching.map_or(0, |monitor| monitor.space().watched())
+    }
+
+    /// The gages in use: bit k for gage k.
+    pub(crate) const fn in_use(&self) -> u16 {
+        self.in_use
+    }
+
+    /// By how much the gages contradicted each other in the last sample: the square of their parity over what noise alone makes of it
+    /// in the mean. Zero where nobody can tell.
+    pub const fn chi_square(&self) -> f32 {
+        self.chi_square
+    }
+
+    /// Whether there are more gages than components, so that they can contradict each other.
+    pub const fn has_parity(&self) -> bool {
+        self.parity.is_some()
+    }
+
+    /// Makes a wrench of a sample, or says why it is none. `calibration` is what is applied, or why nothing is; `saturated` the gages
+    /// that stand at an end of the range.
+    ///
+    /// # Errors
+    ///
+    /// Why it is none.
+    pub fn measure(
+        &mut self,
+        calibration: Result<&RealTimeCalibration<GAGES>, InvalidCause>,
+        saturated: u16,
+        sample: &Sample<GAGES>,
+    ) -> Result<[f32; MAX_DOF], InvalidCause> {
+        self.saturated = saturated;
+        self.repeating = sample.repeating;
+        self.chi_square = 0.0;
+        let (saturated, repeating) = (saturated & self.in_use, sample.repeating & self.in_use);
+        let of_sample = StatusWord::NONE
+            .with(StatusBit::ConversionsLost, sample.after_gap)
+            .with(StatusBit::Saturated, saturated != 0)
+            .with(StatusBit::OpenInput, repeating != 0);
+        self.note(of_sample);
+        let testing = self.is_testing();
+        let wrench = match calibration {
+            _ if testing && (saturated | repeating) != 0 => Err(InvalidCause::SelfTest),
+            Err(cause) => Err(cause),
+            Ok(_) if saturated != 0 => Err(InvalidCause::Saturated(saturated)),
+            Ok(_) if repeating != 0 => Err(InvalidCause::OpenInput(repeating)),
+            Ok(calibration) => self.apply(calibration, sample),
+        };
+        if testing {
+            return Err(InvalidCause::SelfTest);
+        }
+        if wrench.is_err() {
+            self.tare.offer(None);
+        }
+        self.latched = self.latched.union(self.live);
+        wrench
+    }
+
+    fn apply(
+        &mut self,
+        calibration: &RealTimeCalibration<GAGES>,
+        sample: &Sample<GAGES>,
+    ) -> Result<[f32; MAX_DOF], InvalidCause> {
+        let signal = calibration.signal(&sample.codes);
+        if let Some(monitor) = &mut self.parity {
+            let judged = monitor.judge(&signal);
+            self.chi_square = judged.chi_square;
+            self.live = self
+                .live
+                .with(StatusBit::GagesContradict, judged.contradicts)
+                .with(StatusBit::GageSuspect, monitor.is_suspicious())
+                .with(StatusBit::Unwatched, !monitor.is_watching());
+            if judged.contradicts {
+                return Err(InvalidCause::GagesContradict);
+            }
+        }
+        let load = calibration.wrench(&signal);
+        let sent = self.tare.subtracted(&load);
+        if !self.is_testing() {
+            self.live = self.live.union(self.loads.judge(calibration.dof(), &load, &sent));
+            if let Averaged::Set { store } = self.tare.offer(Some(&load)) {
+                self.tare_changed(store);
+            }
+        }
+        Ok(sent)
+    }
+
+    /// What is so with this sample, besides what lasts.
+    const fn note(&mut self, of_sample: StatusWord) {
+        self.live = self.lasting.union(of_sample);
+    }
+
+    const fn is_testing(&self) -> bool {
+        self.lasting.contains(StatusBit::SelfTest)
+    }
+
+    /// There is no sample, because of this.
+    pub fn note_fault(&mut self, disturbance: bool) {
+        let bit = if disturbance { StatusBit::ReplyDisturbed } else { StatusBit::AdcFault };
+        self.note(bit.word());
+        self.tare.offer(None);
+        if !self.is_testing() {
+            self.latched = self.latched.union(self.live);
+        }
+    }
+
+    /// How the sensor is.
+    pub fn report(&self) -> HealthReport {
+        HealthReport {
+            live: self.live,
+            latched: self.latched,
+            saturated: self.saturated,
+            repeating: self.repeating,
+            parity: self.parity.as_ref().map(ParityMonitor::report),
+            carrying_on_without: self.left_out,
+            thresholds: self.loads.exceeded(),
+            peak_since_start: *self.loads.peak_since_start(),
+            peak_ever: self.peak_ever(),
+        }
+    }
+
+    /// The limits of the load.
+    pub const fn limits(&self) -> &LoadLimits {
+        self.loads.limits()
+    }
+
+    /// Takes other limits of the load.
+    ///
+    /// # Errors
+    ///
+    /// [`Rejection::UnusableLimit`].
+    pub fn set_limits(&mut self, limits: LoadLimits) -> Result<(), Rejection> {
+        self.loads.set(limits)?;
+        self.kept.limits = limits;
+        Ok(())
+    }
+
+    /// The tare.
+    pub fn tare(&self) -> TareReport {
+        self.tare.report()
+    }
+
+    /// Takes a tare from the next so many samples.
+    ///
+    /// # Errors
+    ///
+    /// [`Rejection::UnusableLimit`] where that is none.
+    pub fn start_tare(&mut self, samples: u16, store: bool) -> Result<(), Rejection> {
+        self.tare.start(samples, store)
+    }
+
+    /// Subtracts nothing any more.
+    pub fn clear_tare(&mut self, store: bool) {
+        self.tare.put(None);
+        self.tare_changed(store);
+    }
+
+    fn tare_changed(&mut self, store: bool) {
+        let report = self.tare.report();
+        self.set(StatusBit::TareActive, report.wrench.is_some());
+        if store {
+            self.kept.tare = report.wrench;
+        }
+    }
+
+    fn peak_ever(&self) -> [f32; MAX_DOF] {
+        let since_start = self.loads.peak_since_start();
+        core::array::from_fn(|component| self.kept.peak_ever[component].max(since_start[component]))
+    }
+
+    /// What is to outlive a reset, as it is now: for whoever stores it.
+    pub fn kept(&self) -> KeptHealth {
+        KeptHealth { peak_ever: self.peak_ever(), ..self.kept }
+    }
+
+    /// Takes up what was stored before a reset. Limits that are none are left out.
+    pub fn restore(&mut self, kept: KeptHealth) {
+        self.kept = KeptHealth { limits: *self.loads.limits(), ..kept };
+        // Whoever stored it had it checked; should it be broken all the same, there is no limit rather than a wrong one.
+        let _ = self.set_limits(kept.limits);
+        if kept.tare.is_some_and(|wrench| wrench.iter().all(|component| component.is_finite())) {
+            self.tare.put(kept.tare);
+            self.tare_changed(false);
+        }
+    }
+}
+
+impl<const GAGES: usize> Default for Health<GAGES> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// Whether a fault is a disturbance of one transfer, which the next may be free of. Everything else says that the converter is no longer
+/// what it was set up to be.
+pub(crate) const fn is_disturbance(fault: AdcFault) -> bool {
+    matches!(
+        fault,
+        AdcFault::ReplyCorrupted | AdcFault::CommandCorrupted | AdcFault::StaleConversion | AdcFault::Bus
+    )
+}

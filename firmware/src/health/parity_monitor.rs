@@ -1,0 +1,350 @@
+//! The gages held against each other, sample by sample and in the mean (design § 8).
+//!
+//! | statistic of the parity π | over | finds | within |
+//! |---|---|---|---|
+//! | ‖π‖² | one sample | what is far off: an open input, a jump | the sample |
+//! | the same, running mean | 8 samples | more noise than there was | about 8 samples |
+//! | mean of ππᵀ over block means π̄ | a quarter second | drift, a gage that has come off or died; says which | half a second |
+//!
+//! # What is allowed
+//!
+//! Each statistic is compared with t(noise) + [`TOLERANCE`]² + ([`MODEL_TOLERANCE`]·‖z − b‖)².
+//!
+//! *Noise* is measured here, from differences of successive parities, which neither the load nor a drift moves. It is therefore that of
+//! this rate, this gain and this cable, which a calibration cannot know; but a sensor whose gage is noisy from the first second on
+//! takes that for its noise. It is learned from [`LEARNING`] samples, then followed slowly, and not at all while the gages contradict
+//! each other. What is kept is its trace over all redundant directions, σ²: the gages are not equally noisy, and a sum of squares has
+//! its heaviest tail where all noise is in one direction, so limits from the χ² of one degree of freedom hold for every sensor.
+//! Chance alone exceeds 36σ² once in 5·10⁸ samples, the running mean 6σ² (about that of 15 squares) in 10¹² and a window's 5σ²/n
+//! (16 squares) in 10¹⁰ windows, which is a false alarm in a week of samples at 1000/s, and a sample lost by it, no more.
+//!
+//! *Tolerance* is what a gage's zero may wander with temperature: a thousandth of the converter's range.
+//! *Model tolerance* is what a calibration, or a gage that is not quite linear, may be off by, as a share of the signal: four times the
+//! thousandth that the host counts on.
+//!
+//! # Which gage
+//!
+//! A gage that is off alone moves π along its column of B ([`ParitySpace`]). What the window's moments have beside that column must then
+//! be no more than is allowed. Every gage of which that is true is a **suspect**: one is named, several cannot be told apart (parallel
+//! columns, or a fault too small), and none means that no single gage explains it. The column itself is known to
+//! [`COLUMN_TOLERANCE`].
+//!
+//! # Cost
+//!
+//! Per sample p − m dot products and a few operations; at the end of a block the outer product and one gage of the verdict, so that no
+//! sample bears much. One division a block.
+
+use ftcal_shared::estimation::parity::{LEAST_SHARE, ParitySpace};
+use ftcal_shared::units::DataRate;
+use ftcal_shared::wire::ParityReport;
+use libm::sqrtf;
+
+/// What a gage's zero may wander by, counts: 2⁻¹⁰ of the range.
+const TOLERANCE: f32 = 8192.0;
+
+/// What shape and linearity may be off by, relative to the signal.
+const MODEL_TOLERANCE: f32 = 4e-3;
+
+/// How far a gage's direction in the parity space may be off, relative: what is unknown of the shape, over a share of a tenth.
+const COLUMN_TOLERANCE: f32 = 0.02;
+
+/// Noise in one sample, in the running mean and in a window, over σ².
+const SAMPLE_LIMIT: f32 = 36.0;
+const RUNNING_LIMIT: f32 = 6.0;
+const WINDOW_LIMIT: f32 = 5.0;
+
+/// Weight of one sample in the running mean.
+const RUNNING_WEIGHT: f32 = 1.0 / 8.0;
+
+/// Differences from which the noise is first learned.
+const LEARNING: u32 = 128;
+
+/// Weight of one difference, one a block, in the noise followed: about four seconds.
+const NOISE_WEIGHT: f32 = 1.0 / 256.0;
+
+/// The largest part of a difference that counts, over σ²: a glitch is not noise.
+const LARGEST_DIFFERENCE: f32 = 16.0;
+
+/// Variance of the rounding to whole counts.
+const LEAST_VARIANCE: f32 = 1.0 / 12.0;
+
+/// Blocks a second, and in a window.
+const BLOCKS_PER_SECOND: u32 = 64;
+const WINDOW: u32 = 16;
+
+/// The fewest samples in a block.
+const LEAST_BLOCK: u32 = 4;
+
+/// The monitor of one calibration.
+pub(super) struct ParityMonitor<const GAGES: usize> {
+    space: ParitySpace<GAGES>,
+    /// Samples in a block.
+    block: u32,
+    /// One over that.
+    per_block: f32,
+    noise: Noise,
+    allowed: Allowed,
+    last: Option<[f32; GAGES]>,
+    running: f32,
+    sum: [f32; GAGES],
+    summed: u32,
+    window: Window<GAGES>,
+    verdict: Verdict<GAGES>,
+}
+
+/// What one sample says.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Judged {
+    /// The gages contradict each other by more than is allowed.
+    pub(super) contradicts: bool,
+    /// ‖π‖²/σ²; zero until σ² is known.
+    pub(super) chi_square: f32,
+}
+
+/// σ², counts², and one over it once it is known.
+struct Noise {
+    variance: f32,
+    per_variance: f32,
+    learned: u32,
+}
+
+/// Limits before the signal's share, counts².
+struct Allowed {
+    sample: f32,
+    running: f32,
+}
+
+/// Second moments of block means: the upper triangle of the sum of π̄π̄ᵀ.
+#[derive(Clone, Copy)]
+struct Window<const GAGES: usize> {
+    moments: [[f32; GAGES]; GAGES],
+    blocks: u32,
+    /// The largest ‖z − b‖² at the end of a block, counts².
+    signal: f32,
+}
+
+/// What the last window says, gage by gage as its blocks end.
+struct Verdict<const GAGES: usize> {
+    /// The mean moments under judgement.
+    moments: [[f32; GAGES]; GAGES],
+    total: f32,
+    allowed: f32,
+    /// The next gage to be judged; `GAGES` when all are.
+    next: usize,
+    /// The suspects so far.
+    found: u16,
+    /// The least that remains beside a gage's direction, and by how much that gage is off.
+    best: (f32, f32),
+    /// Of the last window that was judged to its end.
+    suspects: u16,
+    off_counts: f32,
+}
+
+impl<const GAGES: usize> Window<GAGES> {
+    const EMPTY: Self = Self { moments: [[0.0; GAGES]; GAGES], blocks: 0, signal: 0.0 };
+}
+
+impl<const GAGES: usize> Verdict<GAGES> {
+    const NONE: Self = Self {
+        moments: [[0.0; GAGES]; GAGES],
+        total: 0.0,
+        allowed: 0.0,
+        next: GAGES,
+        found: 0,
+        best: (f32::INFINITY, 0.0),
+        suspects: 0,
+        off_counts: 0.0,
+    };
+}
+
+impl<const GAGES: usize> ParityMonitor<GAGES> {
+    /// Watches this space at this rate; `None` where nothing is redundant.
+    pub(super) fn new(space: ParitySpace<GAGES>, rate: DataRate) -> Option<Self> {
+        let block = (rate.hertz() / BLOCKS_PER_SECOND).max(LEAST_BLOCK);
+        (space.redundant() > 0).then(|| Self {
+            space,
+            block,
+            per_block: 1.0 / block as f32,
+            noise: Noise { variance: 0.0, per_variance: 0.0, learned: 0 },
+            allowed: Allowed { sample: f32::INFINITY, running: f32::INFINITY },
+            last: None,
+            running: 0.0,
+            sum: [0.0; GAGES],
+            summed: 0,
+            window: Window::EMPTY,
+            verdict: Verdict::NONE,
+        })
+    }
+
+    /// The space that is watched.
+    pub(super) const fn space(&self) -> &ParitySpace<GAGES> {
+        &self.space
+    }
+
+    /// The space, to be watched anew.
+    pub(super) fn into_space(self) -> ParitySpace<GAGES> {
+        self.space
+    }
+
+    /// Whether the noise is known, so that anything is judged.
+    pub(super) const fn is_watching(&self) -> bool {
+        self.noise.learned >= LEARNING
+    }
+
+    /// Whether the last window contradicts itself.
+    pub(super) fn is_suspicious(&self) -> bool {
+        self.verdict.total > self.verdict.allowed
+    }
+
+    /// Takes in one signal, and judges it.
+    pub(super) fn judge(&mut self, signal: &[f32; GAGES]) -> Judged {
+        let mut parity = [0.0; GAGES];
+        let mut squared = 0.0;
+        for ((component, sum), row) in parity.iter_mut().zip(&mut self.sum).zip(self.space.basis()) {
+            for gage in 0..GAGES {
+                *component += row[gage] * signal[gage];
+            }
+            *sum += *component;
+            squared += *component * *component;
+        }
+        let mut of_signal = 0.0;
+        for gage in 0..GAGES {
+            of_signal += signal[gage] * signal[gage];
+        }
+        let of_model = MODEL_TOLERANCE * MODEL_TOLERANCE * of_signal;
+        let allowed = self.allowed.sample + of_model;
+        self.running += RUNNING_WEIGHT * (squared.min(allowed) - self.running);
+        let contradicts = squared > allowed || self.running > self.allowed.running + of_model;
+        if !contradicts && (self.summed == 1 || !self.is_watching()) {
+            self.learn(&parity);
+        }
+        self.last = Some(parity);
+        self.summed += 1;
+        if self.summed == self.block {
+            self.end_block(of_signal);
+        }
+        Judged { contradicts, chi_square: squared * self.noise.per_variance }
+    }
+
+    /// What is to be told.
+    pub(super) fn report(&self) -> ParityReport {
+        let redundant = self.space.redundant();
+        #[expect(clippy::cast_possible_truncation, reason = "at most ten")]
+        let count = redundant as u8;
+        ParityReport {
+            redundant: count,
+            watched: self.space.watched(),
+            noise_counts: self.is_watching().then(|| sqrtf(self.noise.variance / redundant as f32)),
+            disagreement_counts: sqrtf(self.verdict.total),
+            allowed_counts: sqrtf(self.verdict.allowed),
+            suspects: self.verdict.suspects,
+            suspect_off_counts: self.verdict.off_counts,
+        }
+    }
+
+    /// Half the squared difference of two successive parities has the mean σ².
+    fn learn(&mut self, parity: &[f32; GAGES]) {
+        let Some(last) = &self.last else { return };
+        let mut squared = 0.0;
+        for ((one, other), _) in parity.iter().zip(last).zip(self.space.basis()) {
+            squared += (one - other) * (one - other);
+        }
+        let Noise { variance, per_variance, learned } = &mut self.noise;
+        if *learned < LEARNING {
+            *learned += 1;
+            // Up to LEARNING divisions after a calibration came; from then on there are none.
+            *variance += (squared / 2.0 - *variance) / *learned as f32;
+            if *learned < LEARNING {
+                return;
+            }
+            self.running = *variance;
+        } else {
+            *variance += NOISE_WEIGHT * ((squared / 2.0).min(LARGEST_DIFFERENCE * *variance) - *variance);
+        }
+        // Codes are rounded: their noise is not less than that of rounding.
+        *variance = variance.max(LEAST_VARIANCE);
+        *per_variance = 1.0 / *variance;
+        self.allowed.sample = SAMPLE_LIMIT * *variance + TOLERANCE * TOLERANCE;
+        self.allowed.running = RUNNING_LIMIT * *variance + TOLERANCE * TOLERANCE;
+    }
+
+    fn end_block(&mut self, of_signal: f32) {
+        let mean = self.sum.map(|sum| sum * self.per_block);
+        self.sum = [0.0; GAGES];
+        self.summed = 0;
+        if !self.is_watching() {
+            return;
+        }
+        self.judge_next();
+        let redundant = self.space.redundant();
+        for (row, one) in self.window.moments.iter_mut().zip(&mean).take(redundant) {
+            for (moment, other) in row.iter_mut().zip(&mean).take(redundant) {
+                *moment += one * other;
+            }
+        }
+        self.window.signal = self.window.signal.max(of_signal);
+        self.window.blocks += 1;
+        if self.window.blocks == WINDOW {
+            self.end_window();
+        }
+    }
+
+    fn end_window(&mut self) {
+        const PER_WINDOW: f32 = 1.0 / WINDOW as f32;
+        let window = core::mem::replace(&mut self.window, Window::EMPTY);
+        let Verdict { moments, total, allowed, next, found, best, suspects, off_counts } = &mut self.verdict;
+        *moments = window.moments.map(|row| row.map(|moment| moment * PER_WINDOW));
+        *total = 0.0;
+        for direction in 0..GAGES {
+            *total += moments[direction][direction];
+        }
+        *allowed = WINDOW_LIMIT * self.noise.variance * self.per_block
+            + TOLERANCE * TOLERANCE
+            + MODEL_TOLERANCE * MODEL_TOLERANCE * window.signal;
+        (*found, *best) = (0, (f32::INFINITY, 0.0));
+        if *total > *allowed {
+            *next = 0;
+        } else {
+            (*next, *suspects, *off_counts) = (GAGES, 0, 0.0);
+        }
+    }
+
+    /// Judges one gage more, if one is left.
+    fn judge_next(&mut self) {
+        let gage = self.verdict.next;
+        if gage >= GAGES {
+            return;
+        }
+        let share = self.space.share(gage);
+        if share >= LEAST_SHARE {
+            let along = self.along(gage);
+            let Verdict { total, allowed, found, best, .. } = &mut self.verdict;
+            // Rather than to divide by the share, both sides are taken times it.
+            let beside = *total * share - along;
+            if beside <= (*allowed + COLUMN_TOLERANCE * COLUMN_TOLERANCE * *total) * share {
+                *found |= 1 << gage;
+                if beside < best.0 * share {
+                    *best = (beside / share, sqrtf(along) / share);
+                }
+            }
+        }
+        self.verdict.next += 1;
+        if self.verdict.next == GAGES {
+            self.verdict.suspects = self.verdict.found;
+            self.verdict.off_counts = if self.verdict.found == 0 { 0.0 } else { self.verdict.best.1 };
+        }
+    }
+
+    /// b_kᵀMb_k of the moments M under judgement and the column b_k of B, counts².
+    fn along(&self, gage: usize) -> f32 {
+        let mut along = 0.0;
+        for (moments, row) in self.verdict.moments.iter().zip(self.space.basis()) {
+            let mut inner = 0.0;
+            for (moment, other) in moments.iter().zip(self.space.basis()) {
+                inner += moment * other[gage];
+            }
+            along += row[gage] * inner;
+        }
+        along
+    }
+}

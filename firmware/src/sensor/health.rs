@@ -1,0 +1,129 @@
+//! What the sensor is asked about its health, what is changed about how it is watched, and what others tell it.
+
+use core::ops::DerefMut;
+
+use embedded_hal::spi::SpiDevice;
+use ftcal_shared::estimation::bins::Bins;
+use ftcal_shared::estimation::parity::{GageNeeded, ParitySpace};
+use ftcal_shared::units::DeviceTime;
+use ftcal_shared::wire::health::{StatusBit, StatusWord};
+use ftcal_shared::wire::{AdcState, ClockSource, HealthRequest, HealthResponse, Rejection, TrialPhase};
+
+use super::{Sensor, prepared};
+use crate::health::KeptHealth;
+
+impl<Spi, Store, const GAGES: usize, const HIGHER: usize> Sensor<Spi, Store, GAGES, HIGHER>
+where
+    Spi: SpiDevice<u8>,
+    Store: DerefMut<Target = Bins<GAGES, HIGHER>>,
+{
+    /// The status word as it is now; see [`ftcal_shared::wire::health`].
+    pub const fn status_word(&self) -> StatusWord {
+        self.health.live()
+    }
+
+    /// How far the gages contradicted each other in the last sample; see [`Health::chi_square`].
+    pub const fn last_parity(&self) -> f32 {
+        self.health.chi_square()
+    }
+
+    /// Puts something into the status word that only others know: where the last reset came from, what the storage says.
+    pub const fn set_condition(&mut self, bit: StatusBit, set: bool) {
+        self.health.set(bit, set);
+    }
+
+    /// Limits, tare and peaks that are to outlive a reset; see [`Health::kept`].
+    pub fn kept_health(&self) -> KeptHealth {
+        self.health.kept()
+    }
+
+    /// Takes up what was kept before a reset. A tare is of a calibration: that comes first.
+    pub fn restore_health(&mut self, kept: KeptHealth) {
+        self.health.restore(kept);
+    }
+
+    pub(super) fn answer_about_health(
+        &mut self,
+        request: HealthRequest,
+        now: DeviceTime,
+    ) -> Result<HealthResponse, Rejection> {
+        match request {
+            HealthRequest::Read
+            | HealthRequest::ReadLimits
+            | HealthRequest::ReadTare
+            | HealthRequest::ReadSelfTest => {}
+            HealthRequest::ClearLatched => self.health.clear_latched(),
+            HealthRequest::CarryOn(gage) => self.require_peace().and_then(|()| self.carry_on(gage))?,
+            HealthRequest::SetLimits(limits) => self.health.set_limits(limits)?,
+            HealthRequest::SetTare { samples, store } => {
+                self.calibration.as_ref().ok_or(Rejection::Uncalibrated)?;
+                self.health.start_tare(samples, store)?;
+            }
+            HealthRequest::ClearTare { store } => self.health.clear_tare(store),
+            HealthRequest::StartSelfTest => {
+                self.require_peace()?;
+                self.health.set(StatusBit::SelfTest, true);
+                self.self_test.start(now, self.health.in_use(), self.health.watched());
+            }
+        }
+        Ok(match request {
+            HealthRequest::Read | HealthRequest::ClearLatched | HealthRequest::CarryOn(_) => {
+                HealthResponse::Report(self.health.report())
+            }
+            HealthRequest::ReadLimits | HealthRequest::SetLimits(_) => {
+                HealthResponse::Limits(*self.health.limits())
+            }
+            HealthRequest::ReadTare | HealthRequest::SetTare { .. } | HealthRequest::ClearTare { .. } => {
+                HealthResponse::Tare(self.health.tare())
+            }
+            HealthRequest::StartSelfTest | HealthRequest::ReadSelfTest => {
+                HealthResponse::SelfTest(self.self_test.report().clone())
+            }
+        })
+    }
+
+    /// Neither a trial nor a self-test may be under way.
+    pub(super) fn require_peace(&self) -> Result<(), Rejection> {
+        self.require_no_self_test()?;
+        self.trial.require_idle()
+    }
+
+    pub(super) fn require_no_self_test(&self) -> Result<(), Rejection> {
+        if self.self_test.is_running() { Err(Rejection::SelfTestRunning) } else { Ok(()) }
+    }
+
+    /// Makes wrenches without a gage, or with all again.
+    fn carry_on(&mut self, gage: Option<u8>) -> Result<(), Rejection> {
+        let data_rate = self.acquisition.settings().data_rate;
+        let loaded = self.calibration.as_mut().ok_or(Rejection::Uncalibrated)?;
+        let mut real_time = prepared(&loaded.upload)?;
+        let mut space = ParitySpace::new(&real_time.matrix());
+        if let Some(gage) = gage {
+            if usize::from(gage) >= GAGES {
+                return Err(Rejection::NoSuchGage);
+            }
+            (real_time, space) = real_time
+                .without(usize::from(gage), &space, &loaded.upload.bias_counts)
+                .map_err(|GageNeeded| Rejection::GageNeeded)?;
+        }
+        loaded.real_time = real_time;
+        self.health.watch(space, gage, data_rate);
+        Ok(())
+    }
+
+    /// Brings into the status word what lasts.
+    pub(super) fn note_conditions(&mut self) {
+        let gain = self.acquisition.settings().gain;
+        let other_gain = self.calibration.as_ref().is_some_and(|calibration| calibration.gain != gain);
+        let conditions = [
+            (StatusBit::AdcFault, self.acquisition.state() != AdcState::Running),
+            (StatusBit::Uncalibrated, self.calibration.is_none()),
+            (StatusBit::GainChanged, other_gain),
+            (StatusBit::TrialRunning, self.trial.status().phase == TrialPhase::Running),
+            (StatusBit::ClockFallback, self.clock == ClockSource::InternalFallback),
+        ];
+        for (bit, set) in conditions {
+            self.health.set(bit, set);
+        }
+    }
+}

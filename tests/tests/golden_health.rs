@@ -1,0 +1,143 @@
+//! Golden bytes of the messages about the sensor's health; for what golden bytes are see `golden_bytes.rs`.
+
+use ftcal_shared::fault::AdcFault;
+use ftcal_shared::wire::health::StatusWord;
+use ftcal_shared::wire::{
+    Found, HealthReport, HealthRequest, HealthResponse, InvalidCause, LoadLimits, LoadThreshold,
+    MAX_OUTCOMES, Measurement, ParityReport, PlayedFault, Rejection, Request, Response, SelfTestOutcome,
+    SelfTestPhase, SelfTestReport, TarePhase, TareRefusal, TareReport,
+};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+const HALF: [u8; 4] = [0, 0, 0, 0x3F];
+const ONE: [u8; 4] = [0, 0, 0x80, 0x3F];
+const INFINITE: [u8; 4] = [0, 0, 0x80, 0x7F];
+
+/// The payload must be these bytes, and these bytes must be the payload.
+fn assert_golden<Message>(message: &Message, golden: &[&[u8]])
+where
+    Message: Serialize + DeserializeOwned + PartialEq + core::fmt::Debug,
+{
+    let golden = golden.concat();
+    let mut room = [0_u8; 512];
+    let bytes = postcard::to_slice(message, &mut room).unwrap();
+    assert_eq!(bytes, golden, "{message:?}");
+    let back: Message = postcard::from_bytes(&golden).unwrap();
+    assert_eq!(&back, message);
+}
+
+fn limits() -> LoadLimits {
+    LoadLimits {
+        largest: [0.5, 1.0, 1.0, 1.0, 1.0, f32::INFINITY],
+        combined: 1.0,
+        thresholds: [LoadThreshold { level: 1.0, hysteresis: 0.5 }; 6],
+    }
+}
+
+fn limits_bytes() -> Vec<u8> {
+    let largest = [HALF, ONE, ONE, ONE, ONE, INFINITE].concat();
+    [largest, ONE.to_vec(), [[ONE, HALF]; 6].as_flattened().concat()].concat()
+}
+
+#[test]
+fn requests() {
+    let golden = |request, bytes: &[u8]| assert_golden(&Request::Health(request), &[&[10], bytes]);
+    golden(HealthRequest::Read, &[0]);
+    golden(HealthRequest::ClearLatched, &[1]);
+    golden(HealthRequest::CarryOn(None), &[2, 0]);
+    golden(HealthRequest::CarryOn(Some(7)), &[2, 1, 7]);
+    golden(HealthRequest::ReadLimits, &[3]);
+    golden(HealthRequest::SetLimits(limits()), &[&[4], limits_bytes().as_slice()].concat());
+    golden(HealthRequest::ReadTare, &[5]);
+    golden(HealthRequest::SetTare { samples: 300, store: true }, &[6, 0xAC, 0x02, 1]);
+    golden(HealthRequest::ClearTare { store: false }, &[7, 0]);
+    golden(HealthRequest::StartSelfTest, &[8]);
+    golden(HealthRequest::ReadSelfTest, &[9]);
+}
+
+#[test]
+fn responses() {
+    let golden = |response, bytes: &[&[u8]]| {
+        assert_golden(&Response::Health(response), &[&[8], bytes.concat().as_slice()]);
+    };
+    let parity = ParityReport {
+        redundant: 2,
+        watched: 300,
+        noise_counts: Some(0.5),
+        disagreement_counts: 1.0,
+        allowed_counts: 0.5,
+        suspects: 1,
+        suspect_off_counts: 1.0,
+    };
+    let report = HealthReport {
+        live: StatusWord::from_bits(300),
+        latched: StatusWord::from_bits(0x8000_0000),
+        saturated: 1,
+        repeating: 2,
+        parity: Some(parity),
+        carrying_on_without: Some(7),
+        thresholds: 4,
+        peak_since_start: [0.5; 6],
+        peak_ever: [1.0; 6],
+    };
+    let word = [0xAC, 0x02, 0x80, 0x80, 0x80, 0x80, 0x08];
+    let agreement: &[&[u8]] = &[&[1, 2, 0xAC, 0x02, 1], &HALF, &ONE, &HALF, &[1], &ONE];
+    let (start, ever) = ([HALF; 6].concat(), [ONE; 6].concat());
+    golden(
+        HealthResponse::Report(report),
+        &[&[0], &word, &[1, 2], &agreement.concat(), &[1, 7, 4], &start, &ever],
+    );
+    golden(HealthResponse::Limits(limits()), &[&[1], &limits_bytes()]);
+    let tare = |phase, wrench| HealthResponse::Tare(TareReport { phase, wrench });
+    golden(tare(TarePhase::Settled, Some([0.5; 6])), &[&[2, 0, 1], &start]);
+    golden(tare(TarePhase::Averaging { left: 300 }, None), &[&[2, 1, 0xAC, 0x02, 0]]);
+    golden(tare(TarePhase::Refused(TareRefusal::NoWrench), None), &[&[2, 2, 0, 0]]);
+    golden(tare(TarePhase::Refused(TareRefusal::Moving), None), &[&[2, 2, 1, 0]]);
+}
+
+#[test]
+fn self_tests() {
+    let outcomes = [
+        (PlayedFault::PositiveTestSignal, Found::Within { channel: 1, off_counts: -1 }, vec![0, 2, 1, 1]),
+        (PlayedFault::NegativeTestSignal, Found::Beyond { channel: 1, off_counts: 1 }, vec![1, 3, 1, 2]),
+        (PlayedFault::ShortedInputs, Found::NotWell(None), vec![2, 5, 0]),
+        (PlayedFault::CorruptedReply, Found::NotWell(Some(AdcFault::NotResponding)), vec![3, 5, 1, 1]),
+        (PlayedFault::CorruptedCommand, Found::Nothing, vec![4, 1]),
+        (PlayedFault::DeadLine, Found::After { micros: 300 }, vec![5, 0, 0xAC, 0x02]),
+        (PlayedFault::StaleReply, Found::Nothing, vec![6, 1]),
+        (PlayedFault::LateReply, Found::Nothing, vec![7, 1]),
+        (PlayedFault::Reset, Found::Nothing, vec![8, 1]),
+        (PlayedFault::SilentDataReady, Found::Nothing, vec![9, 1]),
+        (PlayedFault::SaturatedGage, Found::Nothing, vec![10, 1]),
+        (PlayedFault::StuckGage, Found::Nothing, vec![11, 1]),
+        (PlayedFault::JumpingGage, Found::NotApplicable, vec![12, 4]),
+    ];
+    let report = SelfTestReport {
+        phase: SelfTestPhase::Done,
+        outcomes: outcomes.iter().map(|&(played, found, _)| SelfTestOutcome { played, found }).collect(),
+    };
+    let bytes = outcomes.iter().flat_map(|(_, _, bytes)| bytes.clone()).collect::<Vec<_>>();
+    assert_golden(&Response::Health(HealthResponse::SelfTest(report)), &[&[8, 3, 2, 13], &bytes]);
+    assert!(outcomes.len() <= MAX_OUTCOMES);
+    let none = Response::Health(HealthResponse::SelfTest(SelfTestReport::default()));
+    assert_golden(&none, &[&[8, 3, 0, 0]]);
+}
+
+#[test]
+fn causes_and_rejections() {
+    let invalid = |cause, bytes: &[u8]| assert_golden(&Measurement::Invalid(cause), &[&[1], bytes]);
+    invalid(InvalidCause::OpenInput(300), &[4, 0xAC, 0x02]);
+    invalid(InvalidCause::GagesContradict, &[5]);
+    invalid(InvalidCause::SelfTest, &[6]);
+    let order = [
+        Rejection::Uncalibrated,
+        Rejection::NoSuchGage,
+        Rejection::GageNeeded,
+        Rejection::SelfTestRunning,
+        Rejection::UnusableLimit,
+    ];
+    for (number, rejection) in (6_u8..).zip(order) {
+        assert_golden(&Response::Rejected(rejection), &[&[6, number]]);
+    }
+}
