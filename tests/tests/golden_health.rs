@@ -3,9 +3,9 @@
 use ftcal_shared::fault::AdcFault;
 use ftcal_shared::wire::health::StatusWord;
 use ftcal_shared::wire::{
-    Found, HealthReport, HealthRequest, HealthResponse, InvalidCause, LoadLimits, LoadThreshold,
-    MAX_OUTCOMES, Measurement, ParityReport, PlayedFault, Rejection, Request, Response, SelfTestOutcome,
-    SelfTestPhase, SelfTestReport, TarePhase, TareRefusal, TareReport,
+    Diagnosis, Failure, Found, HealthReport, HealthRequest, HealthResponse, InvalidCause, LoadLimits,
+    LoadThreshold, MAX_OUTCOMES, ParityReport, PlayedFault, Rejection, Request, ResetCause, Response,
+    SelfTestOutcome, SelfTestPhase, SelfTestReport, TarePhase, TareRefusal, TareReport,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -42,7 +42,7 @@ fn limits_bytes() -> Vec<u8> {
 
 #[test]
 fn requests() {
-    let golden = |request, bytes: &[u8]| assert_golden(&Request::Health(request), &[&[10], bytes]);
+    let golden = |request, bytes: &[u8]| assert_golden(&Request::Health(request), &[&[13], bytes]);
     golden(HealthRequest::Read, &[0]);
     golden(HealthRequest::ClearLatched, &[1]);
     golden(HealthRequest::CarryOn(None), &[2, 0]);
@@ -59,7 +59,7 @@ fn requests() {
 #[test]
 fn responses() {
     let golden = |response, bytes: &[&[u8]]| {
-        assert_golden(&Response::Health(response), &[&[8], bytes.concat().as_slice()]);
+        assert_golden(&Response::Health(response), &[&[10], bytes.concat().as_slice()]);
     };
     let parity = ParityReport {
         redundant: 2,
@@ -118,26 +118,37 @@ fn self_tests() {
         outcomes: outcomes.iter().map(|&(played, found, _)| SelfTestOutcome { played, found }).collect(),
     };
     let bytes = outcomes.iter().flat_map(|(_, _, bytes)| bytes.clone()).collect::<Vec<_>>();
-    assert_golden(&Response::Health(HealthResponse::SelfTest(report)), &[&[8, 3, 2, 13], &bytes]);
+    assert_golden(&Response::Health(HealthResponse::SelfTest(report)), &[&[10, 3, 2, 13], &bytes]);
     assert!(outcomes.len() <= MAX_OUTCOMES);
     let none = Response::Health(HealthResponse::SelfTest(SelfTestReport::default()));
-    assert_golden(&none, &[&[8, 3, 0, 0]]);
+    assert_golden(&none, &[&[10, 3, 0, 0]]);
+}
+
+#[test]
+fn diagnosis() {
+    assert_golden(&Request::Diagnosis, &[&[12]]);
+    let golden = |reset, failure, bytes: &[u8]| {
+        let diagnosis = Diagnosis { reset, failure, stack_used_bytes: 300, stack_bytes: 1 };
+        assert_golden(&Response::Diagnosis(diagnosis), &[&[9], bytes, &[0xAC, 0x02, 1]]);
+    };
+    golden(ResetCause::Unknown, None, &[0, 0]);
+    golden(ResetCause::PowerOn, None, &[1, 0]);
+    golden(ResetCause::BrownOut, None, &[2, 0]);
+    golden(ResetCause::Pin, None, &[3, 0]);
+    golden(ResetCause::Watchdog, Some(Failure::ProcessorFault { at: 300 }), &[4, 1, 1, 0xAC, 0x02]);
+    golden(ResetCause::Software, Some(Failure::panic("a.rs", 7)), &[5, 1, 0, 4, b'a', b'.', b'r', b's', 7]);
+    golden(ResetCause::Software, Some(Failure::StackOverflow), &[5, 1, 2]);
+    golden(ResetCause::Software, Some(Failure::UnservedInterrupt { number: -1 }), &[5, 1, 3, 1]);
 }
 
 #[test]
 fn causes_and_rejections() {
-    let invalid = |cause, bytes: &[u8]| assert_golden(&Measurement::Invalid(cause), &[&[1], bytes]);
-    invalid(InvalidCause::OpenInput(300), &[4, 0xAC, 0x02]);
-    invalid(InvalidCause::GagesContradict, &[5]);
-    invalid(InvalidCause::SelfTest, &[6]);
-    let order = [
-        Rejection::Uncalibrated,
-        Rejection::NoSuchGage,
-        Rejection::GageNeeded,
-        Rejection::SelfTestRunning,
-        Rejection::UnusableLimit,
-    ];
-    for (number, rejection) in (6_u8..).zip(order) {
+    assert_golden(&InvalidCause::OpenInput(300), &[&[5, 0xAC, 0x02]]);
+    assert_golden(&InvalidCause::GagesContradict, &[&[6]]);
+    assert_golden(&InvalidCause::SelfTest, &[&[7]]);
+    let order =
+        [Rejection::NoSuchGage, Rejection::GageNeeded, Rejection::SelfTestRunning, Rejection::UnusableLimit];
+    for (number, rejection) in (11_u8..).zip(order) {
         assert_golden(&Response::Rejected(rejection), &[&[6, number]]);
     }
 }

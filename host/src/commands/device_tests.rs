@@ -24,24 +24,24 @@ use crate::simulator::scenario::ScenarioKind;
 use crate::simulator::served_board::ServedBoard;
 
 /// What a command left behind.
-struct Outcome {
+pub(super) struct Outcome {
     code: ExitCode,
-    data: String,
-    words: String,
+    pub(super) data: String,
+    pub(super) words: String,
 }
 
 impl Outcome {
-    fn has_code(&self, number: u8) -> bool {
+    pub(super) fn has_code(&self, number: u8) -> bool {
         self.code == ExitCode::from(number)
     }
 
-    fn json(&self) -> Value {
+    pub(super) fn json(&self) -> Value {
         serde_json::from_str(&self.data).expect("one JSON value")
     }
 }
 
 /// Runs a command on this board.
-fn ftcal(board: &ServedBoard, arguments: &[&str]) -> Outcome {
+pub(super) fn ftcal(board: &ServedBoard, arguments: &[&str]) -> Outcome {
     let all = [&["ftcal"], arguments, &["--port", &board.path]].concat();
     let cli = Cli::try_parse_from(all).expect("the usage is right");
     let (mut data, mut words) = (Vec::new(), Vec::new());
@@ -51,7 +51,7 @@ fn ftcal(board: &ServedBoard, arguments: &[&str]) -> Outcome {
 }
 
 /// Waits until so much time has passed on the board, which on a busy machine lags behind the clock.
-fn pass(board: &ServedBoard, milliseconds: u64) {
+pub(super) fn pass(board: &ServedBoard, milliseconds: u64) {
     let now = || board.bench.with(|bench| bench.now().as_micros());
     let end = now() + 1000 * milliseconds;
     while now() < end {
@@ -60,7 +60,7 @@ fn pass(board: &ServedBoard, milliseconds: u64) {
 }
 
 /// A calibration that is the truth of this board's sensor.
-fn true_calibration(board: &ServedBoard, path: &Path) -> Calibration {
+pub(super) fn true_calibration(board: &ServedBoard, path: &Path) -> Calibration {
     let sensor = board.bench.with(|bench| bench.sensor().clone());
     let calibration = Calibration {
         dof: sensor.dof(),

@@ -125,15 +125,17 @@ impl Bench {
         self.now_nanoseconds += period_nanoseconds;
         self.motion.advance(period);
         let mut volts = [0.0; CHANNELS];
-        let counts = self.sensor.read(&self.true_wrench(), &mut self.noise);
+        let wrench = self.true_wrench();
+        let counts = self.sensor.read(&wrench, &mut self.noise);
         for (volts, &counts) in volts.iter_mut().zip(counts.iter()) {
             *volts = volts_of_counts(counts);
         }
-        let mut unloaded = [0.0; CHANNELS];
-        for (volts, &counts) in unloaded.iter_mut().zip(self.sensor.bias_counts().iter()) {
+        let mut felt = [0.0; CHANNELS];
+        let of_load = self.sensor.noiseless_counts(&wrench) - self.sensor.bias_counts();
+        for (volts, &counts) in felt.iter_mut().zip(of_load.iter()) {
             *volts = volts_of_counts(counts);
         }
-        self.faults.disturb_inputs(&mut volts, &unloaded, self.now().as_seconds(), period);
+        self.faults.disturb_inputs(&mut volts, &felt, self.now().as_seconds(), period);
         let announced = self.converter.convert(&volts);
         announced && !self.faults.converter_missing() && !self.faults.loses_data_ready()
     }

@@ -147,12 +147,12 @@ impl ActiveFaults {
         self.active.contains(&Fault::ConverterMissing)
     }
 
-    /// Changes the voltages at the pins; `unloaded` are those without load and noise, `seconds` is the time of this conversion, `period`
+    /// Changes the voltages at the pins; `felt` is what of them is the load, `seconds` is the time of this conversion, `period`
     /// since the last one.
     pub(super) fn disturb_inputs(
         &mut self,
         volts: &mut [f64; CHANNELS],
-        unloaded: &[f64; CHANNELS],
+        felt: &[f64; CHANNELS],
         seconds: f64,
         period: f64,
     ) {
@@ -193,8 +193,8 @@ impl ActiveFaults {
                     }
                 }
                 Fault::DebondedChannel { channel, kept } => {
-                    if let (Some(volts), Some(unloaded)) = (volts.get_mut(channel), unloaded.get(channel)) {
-                        *volts = unloaded + kept * (*volts - unloaded);
+                    if let (Some(volts), Some(felt)) = (volts.get_mut(channel), felt.get(channel)) {
+                        *volts -= (1.0 - kept) * felt;
                     }
                 }
                 Fault::DeadChannel { channel } => {

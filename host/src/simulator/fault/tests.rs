@@ -145,3 +145,29 @@ fn a_channel_that_does_not_exist_disturbs_nothing() {
     faulty.inject(Fault::SaturatedChannel { channel: 8, rail: Rail::High });
     assert_eq!(codes(&mut faulty), codes(&mut healthy));
 }
+
+#[test]
+fn a_drifting_channel_is_off_by_its_rate_times_the_time() {
+    let counts_per_second = 50_000.0;
+    let pairs = with_and_without(Fault::DriftingChannel { channel: 2, counts_per_second }, 1000);
+    for (conversion, (with, without)) in (1..).zip(&pairs) {
+        let expected = counts_per_second * 1e-3 * f64::from(conversion);
+        // Both codes are rounded.
+        assert!((f64::from(with.counts() - without.counts()) - expected).abs() <= 1.0);
+    }
+}
+
+#[test]
+fn a_debonded_channel_feels_its_share_and_a_dead_one_nothing() {
+    let whole = with_and_without(Fault::DebondedChannel { channel: 2, kept: 0.0 }, 200);
+    let half = with_and_without(Fault::DebondedChannel { channel: 2, kept: 0.5 }, 200);
+    for ((none, all), (half, _)) in whole.iter().zip(&half) {
+        let middle = f64::midpoint(none.counts().into(), all.counts().into());
+        assert!((f64::from(half.counts()) - middle).abs() <= 1.0);
+    }
+    let bias = turning_bench().sensor().bias_counts()[2];
+    let noise = turning_bench().sensor().noise_counts()[2];
+    assert!(whole.iter().all(|(with, _)| (f64::from(with.counts()) - bias).abs() < 6.0 * noise + 1.0));
+    let dead = with_and_without(Fault::DeadChannel { channel: 2 }, 200);
+    assert!(dead.iter().all(|(with, _)| with.counts().abs() < 1000));
+}
