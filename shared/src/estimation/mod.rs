@@ -45,3 +45,4 @@ mod quadric;
 pub mod rest_noise;
 pub mod shape;
 pub mod uncertainty;
+mod words;

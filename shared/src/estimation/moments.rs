@@ -27,6 +27,10 @@
 //! Accumulators about one pivot add ([`Moments::merge`]): associative and commutative, exactly so for sum and Gram
 //! matrix and to rounding for the rest. A trial can thus be cut and resumed.
 
+mod saved;
+
+pub use saved::saved_words;
+
 use super::code_sums::{CodeSums, MAX_SAMPLES};
 use super::monomials::{Compensated, add_higher_monomials};
 use crate::refusal::Refusal;
@@ -186,6 +190,11 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
     /// The sums of degree 3 and 4, in the order of `for_each_higher_monomial` and in powers of [`UNIT`]. Settle first.
     pub(super) const fn higher_sums(&self) -> &[Compensated; HIGHER] {
         &self.higher
+    }
+
+    /// Brings what is being absorbed to its end, which changes no sum that there will be. Samples that wait for more.
+    fn finish_absorption(&mut self) -> u64 {
+        self.batch.samples as u64
     }
 
     fn absorb_batch(&mut self) {
