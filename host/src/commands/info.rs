@@ -129,6 +129,8 @@ struct Trial {
     contradictory: u32,
     off_magnitude: u32,
     unattended: u32,
+    resumption: &'static str,
+    checkpointed: u32,
 }
 
 #[derive(Serialize)]
@@ -185,6 +187,8 @@ impl Info {
                 contradictory: status.trial.contradictory,
                 off_magnitude: status.trial.off_magnitude,
                 unattended: status.trial.unattended,
+                resumption: words::resumption(status.trial.resumption),
+                checkpointed: status.trial.checkpointed,
             },
             link: Link { dropped_frames: status.dropped_frames, broken_frames: status.broken_frames },
         }

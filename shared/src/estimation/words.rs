@@ -21,8 +21,9 @@ pub(super) const WORDS_OF_PRODUCTS: usize = 3;
 /// Saves a sum of products.
 #[expect(clippy::cast_possible_truncation, reason = "each word gets its part")]
 pub(super) fn put_products(put: &mut impl FnMut(u32), sum: i128) {
+    let bits = sum.cast_unsigned();
     for word in 0..WORDS_OF_PRODUCTS {
-        put((sum >> (32 * word)) as u32);
+        put((bits >> (32 * word)) as u32);
     }
 }
 

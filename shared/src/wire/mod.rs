@@ -22,6 +22,6 @@ pub use message::{
     StreamKind, ToDevice, ToHost,
 };
 pub use report::{
-    AdcState, ClockSource, CodesFrame, Coverage, GageTarget, InvalidCause, Measurement, Solution, Status,
-    TrialPhase, TrialStatus, WrenchFrame,
+    AdcState, ClockSource, CodesFrame, Coverage, GageTarget, InvalidCause, Measurement, Resumption, Solution,
+    Status, TrialPhase, TrialStatus, WrenchFrame,
 };

@@ -35,10 +35,13 @@ impl Part {
 }
 
 impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
-    /// Saves one part, in [`Part::words`] words. Changes no sum.
-    pub fn save(&mut self, part: Part, put: &mut impl FnMut(u32)) {
+    /// Saves one part, in [`Part::words`] words; of how many samples it is the sum. Changes no sum.
+    pub fn save(&mut self, part: Part, put: &mut impl FnMut(u32)) -> u64 {
         match part {
-            Part::Gate => self.gate.save(put),
+            Part::Gate => {
+                self.gate.save(put);
+                0
+            }
             Part::Class(class) => self.by_quietness[class as usize].save(put),
         }
     }

@@ -15,13 +15,13 @@ pub const fn saved_words(gages: usize) -> usize {
 }
 
 impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
-    /// Saves the sums, in [`saved_words`] words.
-    pub fn save(&mut self, put: &mut impl FnMut(u32)) {
-        let waiting = self.finish_absorption();
+    /// Saves the sums, in [`saved_words`] words; of how many samples they are.
+    pub fn save(&mut self, put: &mut impl FnMut(u32)) -> u64 {
+        let samples = self.codes.count - self.finish_absorption();
         for code in &self.codes.pivot {
             put(code.counts().cast_unsigned());
         }
-        put_wide(put, self.codes.count - waiting);
+        put_wide(put, samples);
         for sum in self.codes.sum {
             put_wide(put, sum.cast_unsigned());
         }
@@ -33,6 +33,7 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
         for sum in &self.higher {
             put(sum.rounded().to_bits());
         }
+        samples
     }
 
     /// Restores what was saved. `None` where it cannot be what was saved; the sums are then of no use.
