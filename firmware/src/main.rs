@@ -40,10 +40,11 @@ mod app {
 
     use ftcal_firmware::sensor::{LinkCounters, Reaction, Sensor};
     use ftcal_firmware::session::{Session, hello};
+    use ftcal_firmware::storage::checkpoint::TrialAccess;
     use ftcal_firmware::storage::job::StoreJob;
-    use ftcal_firmware::storage::memory::Memory;
+    use ftcal_firmware::storage::keeper::Keeper;
     use ftcal_firmware::stream::{Batcher, Moment};
-    use ftcal_firmware::trial::SolveJob;
+    use ftcal_firmware::trial::{SolveJob, Trial};
     use ftcal_firmware::vitality::{Task, Vitality};
     use ftcal_shared::estimation::bins::Bins;
     use ftcal_shared::estimation::moments::higher_moment_count;
@@ -75,6 +76,8 @@ mod app {
         job: Option<(RequestId, Job)>,
         /// Something to be stored, and the request that asks for it.
         store_job: Option<(RequestId, StoreJob)>,
+        /// Nothing: whoever holds it keeps `session` from running.
+        requests: (),
         /// The outcome on its way to the host.
         outcome: Option<(RequestId, Response)>,
         /// Where the sample path leaves what it has to say: its two tasks have the same priority.
@@ -91,7 +94,7 @@ mod app {
         watchdog: Watchdog,
         start: Start,
         conversation: Conversation,
-        memory: Memory<Flash>,
+        keeper: Keeper<Flash>,
     }
 
     /// The session's ends of the queues.
@@ -136,6 +139,7 @@ mod app {
             sensor: Sensor::new(board.converter, context.local.store, board.clock),
             job: None,
             store_job: None,
+            requests: (),
             outcome: None,
             moments: moments_in,
             dropped_samples: AtomicU32::new(0),
@@ -153,7 +157,7 @@ mod app {
             data_ready: board.data_ready,
             watchdog: board.watchdog,
             start: board.start,
-            memory: Memory::new(board.flash),
+            keeper: Keeper::new(board.flash),
             conversation,
         };
         (shared, local)
@@ -207,7 +211,7 @@ mod app {
         binds = TIM7,
         priority = 2,
         local = [conversation, start],
-        shared = [sensor, job, store_job, outcome, &dropped_samples, &vitality]
+        shared = [sensor, job, store_job, requests, outcome, &dropped_samples, &vitality]
     )]
     fn session(mut context: session::Context) {
         context.shared.vitality.report(Task::Session);
@@ -265,26 +269,54 @@ mod app {
     }
 
     /// Solves trials and stores, or sleeps. A job that comes just before the sleep waits for the next interrupt: 2 ms at most.
-    #[idle(local = [memory], shared = [sensor, job, store_job, outcome, &vitality])]
-    fn idle(mut context: idle::Context) -> ! {
-        let memory = context.local.memory;
-        let kept = memory.start();
-        context.shared.sensor.lock(|sensor| sensor.restore(kept));
+    #[idle(local = [keeper], shared = [sensor, job, store_job, requests, outcome, &vitality])]
+    fn idle(context: idle::Context) -> ! {
+        let keeper = context.local.keeper;
+        let idle::SharedResources { sensor, mut job, mut store_job, requests, mut outcome, vitality, .. } =
+            context.shared;
+        let mut access = Access { sensor, requests: Some(requests) };
+        let found = keeper.start(&mut access);
+        access.sensor.lock(|sensor| sensor.restore(found));
         loop {
-            context.shared.vitality.report(Task::Background);
-            let (id, response) = if let Some((id, mut job)) = context.shared.job.lock(Option::take) {
+            vitality.report(Task::Background);
+            let (id, response) = if let Some((id, mut job)) = job.lock(Option::take) {
                 let response = job.response();
-                context.shared.sensor.lock(|sensor| sensor.finish_solving(job));
+                access.sensor.lock(|sensor| sensor.finish_solving(job));
                 (id, response)
-            } else if let Some((id, job)) = context.shared.store_job.lock(Option::take) {
-                let stored = job.run(memory);
-                (id, context.shared.sensor.lock(|sensor| sensor.finish_storing(stored)))
+            } else if let Some((id, job)) = store_job.lock(Option::take) {
+                let stored = keeper.run(&job);
+                (id, access.sensor.lock(|sensor| sensor.finish_storing(stored)))
             } else {
+                keeper.attend(time_base::now(), &mut access);
                 cortex_m::asm::wfi();
                 continue;
             };
-            context.shared.outcome.lock(|outcome| *outcome = Some((id, response)));
+            outcome.lock(|outcome| *outcome = Some((id, response)));
             rtic::pend(Interrupt::TIM7);
+        }
+    }
+
+    /// The way of `idle` to the trial: it holds up the sample path for a glance, and requests for as long as it has the sums.
+    struct Access<SharedSensor, Requests> {
+        sensor: SharedSensor,
+        /// Absent while they are held up.
+        requests: Option<Requests>,
+    }
+
+    impl<SharedSensor, Requests> TrialAccess<Store, GAGES, HIGHER> for Access<SharedSensor, Requests>
+    where
+        SharedSensor: Mutex<T = Sensor<Converter, Store, GAGES, HIGHER>>,
+        Requests: Mutex,
+    {
+        fn with<Answer>(&mut self, act: impl FnOnce(&mut Trial<Store, GAGES, HIGHER>) -> Answer) -> Answer {
+            self.sensor.lock(|sensor| act(sensor.trial()))
+        }
+
+        fn undisturbed<Answer>(&mut self, act: impl FnOnce(&mut Self) -> Answer) -> Answer {
+            let Some(mut requests) = self.requests.take() else { return act(self) };
+            let answer = requests.lock(|_| act(self));
+            self.requests = Some(requests);
+            answer
         }
     }
 }

@@ -21,6 +21,7 @@ use ftcal_shared::wire::{
 
 use crate::acquisition::{Acquisition, Sample};
 use crate::health::{Health, Observed, SelfTest, is_disturbance};
+use crate::storage::checkpoint::TrialAccess;
 use crate::storage::job::StoreJob;
 use crate::stream::{Measurement, Moment, SilentMoment, WrenchMoment};
 use crate::trial::{SolveJob, Trial};
@@ -102,6 +103,11 @@ where
         }
     }
 
+    /// The trial.
+    pub const fn trial(&mut self) -> &mut Trial<Store, GAGES, HIGHER> {
+        &mut self.trial
+    }
+
     /// Watches over the converter; see [`Acquisition::tick`]. Where a wrench is being streamed and the converter is at
     /// fault, the host is told so at every tick, instead of hearing nothing.
     pub fn tick(&mut self, now: DeviceTime, delay: &mut impl DelayNs) -> Option<Moment> {
@@ -170,11 +176,10 @@ where
                 self.stream = kind;
                 Response::Done
             }),
-            Request::StartTrial { rank } => self
-                .require_nothing_stored(true)
-                .and_then(|()| self.require_no_self_test())
-                .and_then(|()| self.trial.start(rank))
-                .map(|()| Response::Done),
+            Request::StartTrial { rank } => match self.prepare_trial(rank) {
+                Ok(job) => return Reaction::Store(job),
+                Err(rejection) => Err(rejection),
+            },
             Request::StopTrial => self.trial.stop().map(Response::Trial),
             Request::TrialStatus => Ok(Response::Trial(self.trial.status())),
             Request::SolveTrial => match self.trial.take_for_solving() {
@@ -334,4 +339,20 @@ fn prepared<const GAGES: usize>(upload: &CalibrationUpload) -> Result<RealTimeCa
 /// Which channels stand at an end of their range: bit k for gage k.
 fn saturated_channels<const GAGES: usize>(codes: &[AdcCode; GAGES]) -> u16 {
     codes.iter().enumerate().fold(0, |mask, (gage, code)| mask | (u16::from(code.is_saturated()) << gage))
+}
+
+/// Where nobody else works with the sensor meanwhile.
+impl<Spi, Store, const GAGES: usize, const HIGHER: usize> TrialAccess<Store, GAGES, HIGHER>
+    for Sensor<Spi, Store, GAGES, HIGHER>
+where
+    Spi: SpiDevice<u8>,
+    Store: DerefMut<Target = Bins<GAGES, HIGHER>>,
+{
+    fn with<Answer>(&mut self, act: impl FnOnce(&mut Trial<Store, GAGES, HIGHER>) -> Answer) -> Answer {
+        act(&mut self.trial)
+    }
+
+    fn undisturbed<Answer>(&mut self, act: impl FnOnce(&mut Self) -> Answer) -> Answer {
+        act(self)
+    }
 }

@@ -3,7 +3,8 @@
 //!
 //! The sums are large, so a trial owns them through a handle (`Store`: a static reference on the board, a box in the
 //! simulator). A [`SolveJob`] takes the handle out of the trial: the solution is computed with no hold on the sample
-//! path, and the handle comes back by [`Trial::finish`].
+//! path, and the handle comes back by [`Trial::finish`]. So does whoever saves the sums ([`Trial::lend`]); the few samples that come
+//! meanwhile wait.
 
 use core::ops::DerefMut;
 
@@ -14,34 +15,62 @@ use ftcal_shared::estimation::shape::TrialSolution;
 use ftcal_shared::refusal::Refusal;
 use ftcal_shared::units::{AdcCode, SampleIndex};
 use ftcal_shared::wire::{
-    Coverage, GageList, GageTarget, Rejection, Response, Solution, TrialPhase, TrialStatus,
+    Coverage, GageList, GageTarget, Rejection, Response, Resumption, Solution, TrialPhase, TrialStatus,
 };
+
+use crate::storage::items::Settings;
 
 /// Samples of a block that come before its last one.
 #[expect(clippy::cast_possible_truncation, reason = "three")]
 const EARLIER_IN_BLOCK: u32 = BLOCK as u32 - 1;
 
+/// Samples that wait while the sums are lent. They are lent for less than a millisecond: at 8000 samples a second, none is lost.
+const WAITING: usize = 8;
+
 /// The trial of the sensor.
 #[derive(Debug)]
 pub struct Trial<Store, const GAGES: usize, const HIGHER: usize> {
-    /// Absent while a [`SolveJob`] has it.
+    /// Absent while a [`SolveJob`] has it, or whoever saves it.
     store: Option<Store>,
-    phase: TrialPhase,
-    rank: u8,
-    counts: Counts,
+    lent: bool,
+    waiting: heapless::Deque<[AdcCode; GAGES], WAITING>,
+    standing: Standing,
     left_out: LeftOut,
-    first: SampleIndex,
+    resumption: Resumption,
+    /// Samples that would survive a reset.
+    checkpointed: u32,
+}
+
+/// Where a trial stands: what is to be known of it besides its sums.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Standing {
+    /// What it is doing.
+    pub phase: TrialPhase,
+    /// The proper rank asked for.
+    pub rank: u8,
+    /// How the converter is set: counts are counts at this gain.
+    pub settings: Settings,
+    /// The first sample that was offered.
+    pub first: SampleIndex,
+    /// What became of the samples.
+    pub counts: Counts,
 }
 
 /// What became of the samples that were offered.
-#[derive(Clone, Copy, Debug, Default)]
-struct Counts {
-    offered: u32,
-    taken: u32,
-    saturated: u32,
-    repeated: u32,
-    contradictory: u32,
-    unattended: u32,
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// All of them.
+    pub offered: u32,
+    /// Those in the sums.
+    pub taken: u32,
+    /// Rejected: a channel stood at the end of its range.
+    pub saturated: u32,
+    /// Rejected: the converter repeats itself.
+    pub repeated: u32,
+    /// Rejected: the codes answer to no load at this arm.
+    pub contradictory: u32,
+    /// Lost while the sums were being worked on.
+    pub unattended: u32,
 }
 
 /// How many of the samples taken the solution leaves out.
@@ -73,59 +102,118 @@ where
     Store: DerefMut<Target = Bins<GAGES, HIGHER>>,
 {
     /// No trial yet, with room for one.
-    pub const fn new(store: Store) -> Self {
+    pub fn new(store: Store) -> Self {
         Self {
             store: Some(store),
-            phase: TrialPhase::None,
-            rank: 0,
-            counts: Counts {
-                offered: 0,
-                taken: 0,
-                saturated: 0,
-                repeated: 0,
-                contradictory: 0,
-                unattended: 0,
+            lent: false,
+            waiting: heapless::Deque::new(),
+            standing: Standing {
+                phase: TrialPhase::None,
+                rank: 0,
+                settings: Settings::default(),
+                first: SampleIndex::default(),
+                counts: Counts::default(),
             },
-            left_out: LeftOut { moving: 0, off_magnitude: 0 },
-            first: SampleIndex::new(0),
+            left_out: LeftOut::default(),
+            resumption: Resumption::None,
+            checkpointed: 0,
         }
     }
 
     /// State of the trial.
     pub const fn status(&self) -> TrialStatus {
         let LeftOut { moving, off_magnitude } = self.left_out;
-        let Counts { offered, taken, saturated, repeated, contradictory, unattended } = self.counts;
+        let Standing { phase, rank, first, counts, .. } = self.standing;
+        let Counts { offered, taken, saturated, repeated, contradictory, unattended } = counts;
         TrialStatus {
-            phase: self.phase,
-            rank: self.rank,
+            phase,
+            rank,
             used: taken.saturating_sub(moving.saturating_add(off_magnitude)),
             saturated,
-            first: self.first,
+            first,
             offered,
             repeated,
             moving,
             contradictory,
             off_magnitude,
             unattended,
+            resumption: self.resumption,
+            checkpointed: self.checkpointed,
         }
     }
 
-    /// Starts a trial; the sums of the one before are dropped.
+    /// Whether a trial of this rank may be started.
     ///
     /// # Errors
     ///
     /// [`Rejection::TrialBusy`], [`Rejection::UnsupportedRank`].
-    pub fn start(&mut self, rank: u8) -> Result<(), Rejection> {
+    pub fn may_start(&self, rank: u8) -> Result<(), Rejection> {
         self.require_idle()?;
-        if !(2..=3).contains(&rank) || usize::from(rank) > GAGES {
-            return Err(Rejection::UnsupportedRank);
+        if (2..=3).contains(&rank) && usize::from(rank) <= GAGES {
+            Ok(())
+        } else {
+            Err(Rejection::UnsupportedRank)
         }
+    }
+
+    /// Starts a trial with the converter set so; the sums of the one before are dropped.
+    ///
+    /// # Errors
+    ///
+    /// [`Rejection::TrialBusy`], [`Rejection::UnsupportedRank`].
+    pub fn start(&mut self, rank: u8, settings: Settings) -> Result<(), Rejection> {
+        self.may_start(rank)?;
         self.store.as_mut().ok_or(Rejection::TrialBusy)?.restart();
-        self.rank = rank;
-        self.counts = Counts::default();
+        let (first, counts) = (SampleIndex::default(), Counts::default());
+        self.standing = Standing { phase: TrialPhase::Running, rank, settings, first, counts };
         self.left_out = LeftOut::default();
-        self.phase = TrialPhase::Running;
+        self.resumption = Resumption::None;
+        self.checkpointed = 0;
         Ok(())
+    }
+
+    /// Where the trial stands.
+    pub const fn standing(&self) -> Standing {
+        self.standing
+    }
+
+    /// Lends the sums, to be saved or restored. To be given back by [`Trial::take_back`] within a millisecond.
+    pub const fn lend(&mut self) -> Option<Store> {
+        let store = self.store.take();
+        self.lent = store.is_some();
+        store
+    }
+
+    /// Takes back what was lent; or gives it out again with a sample that came meanwhile, which is to be offered to it and
+    /// then told by [`Trial::count`]. Where they do not get fewer, those that wait are given up.
+    pub fn take_back(&mut self, store: Store, has_patience: bool) -> Option<(Store, [AdcCode; GAGES])> {
+        if has_patience && let Some(codes) = self.waiting.pop_front() {
+            return Some((store, codes));
+        }
+        while self.waiting.pop_front().is_some() {
+            self.standing.counts.unattended = self.standing.counts.unattended.saturating_add(1);
+        }
+        self.store = Some(store);
+        self.lent = false;
+        None
+    }
+
+    /// Notes that so many samples would survive a reset now.
+    pub fn note_checkpoint(&mut self, samples: u64) {
+        self.checkpointed = u32::try_from(samples).unwrap_or(u32::MAX);
+    }
+
+    /// Goes on with a trial whose sums were restored, of so many samples.
+    pub fn resume(&mut self, standing: Standing, samples: u64) {
+        self.standing = standing;
+        self.standing.counts.taken = u32::try_from(samples).unwrap_or(u32::MAX);
+        self.resumption = Resumption::Resumed;
+        self.note_checkpoint(samples);
+    }
+
+    /// Notes that there was a trial before the reset, and that it cannot be resumed.
+    pub const fn note_loss(&mut self) {
+        self.resumption = Resumption::Lost;
     }
 
     /// The converter's settings may change between trials only: one trial is in one unit of counts.
@@ -134,7 +222,7 @@ where
     ///
     /// [`Rejection::TrialBusy`].
     pub const fn require_idle(&self) -> Result<(), Rejection> {
-        match self.phase {
+        match self.standing.phase {
             TrialPhase::Running | TrialPhase::Solving => Err(Rejection::TrialBusy),
             TrialPhase::None | TrialPhase::Stopped => Ok(()),
         }
@@ -142,28 +230,40 @@ where
 
     /// Takes in one sample while the trial runs. A sample that is no measurement is counted, not used.
     pub fn offer(&mut self, index: SampleIndex, codes: &[AdcCode; GAGES]) {
-        if self.phase != TrialPhase::Running {
+        if self.standing.phase != TrialPhase::Running {
             return;
         }
-        if self.counts.offered == 0 {
-            self.first = index;
+        if self.standing.counts.offered == 0 {
+            self.standing.first = index;
         }
-        let Self { store, counts, .. } = self;
+        let counts = &mut self.standing.counts;
         counts.offered = counts.offered.saturating_add(1);
-        let counter = match store.as_mut().map(|bins| bins.offer(codes)) {
-            None => &mut counts.unattended,
-            Some(Ok(Verdict::Accepted)) => &mut counts.taken,
-            Some(Ok(Verdict::Saturated)) => &mut counts.saturated,
-            Some(Ok(Verdict::Repeated)) => &mut counts.repeated,
-            Some(Ok(Verdict::Contradictory)) => {
+        match &mut self.store {
+            Some(bins) => {
+                let outcome = bins.offer(codes);
+                self.count(outcome);
+            }
+            None if self.lent && self.waiting.push_back(*codes).is_ok() => {}
+            None => counts.unattended = counts.unattended.saturating_add(1),
+        }
+    }
+
+    /// Counts a sample by what became of it.
+    pub fn count(&mut self, outcome: Result<Verdict, Refusal>) {
+        let counts = &mut self.standing.counts;
+        let counter = match outcome {
+            Ok(Verdict::Accepted) => &mut counts.taken,
+            Ok(Verdict::Saturated) => &mut counts.saturated,
+            Ok(Verdict::Repeated) => &mut counts.repeated,
+            Ok(Verdict::Contradictory) => {
                 // Its block goes with it.
                 counts.taken = counts.taken.saturating_sub(EARLIER_IN_BLOCK);
                 counts.contradictory = counts.contradictory.saturating_add(EARLIER_IN_BLOCK);
                 &mut counts.contradictory
             }
             // The sums are as full as they may get: what they hold stays good.
-            Some(Err(_)) => {
-                self.phase = TrialPhase::Stopped;
+            Err(_) => {
+                self.standing.phase = TrialPhase::Stopped;
                 return;
             }
         };
@@ -176,11 +276,11 @@ where
     ///
     /// [`Rejection::NoTrial`], [`Rejection::TrialBusy`] while it is being solved.
     pub const fn stop(&mut self) -> Result<TrialStatus, Rejection> {
-        match self.phase {
+        match self.standing.phase {
             TrialPhase::None => Err(Rejection::NoTrial),
             TrialPhase::Solving => Err(Rejection::TrialBusy),
             TrialPhase::Running | TrialPhase::Stopped => {
-                self.phase = TrialPhase::Stopped;
+                self.standing.phase = TrialPhase::Stopped;
                 Ok(self.status())
             }
         }
@@ -192,12 +292,12 @@ where
     ///
     /// [`Rejection::NoTrial`], [`Rejection::TrialBusy`] while it runs or is being solved.
     pub fn take_for_solving(&mut self) -> Result<SolveJob<Store, GAGES, HIGHER>, Rejection> {
-        match self.phase {
+        match self.standing.phase {
             TrialPhase::None => Err(Rejection::NoTrial),
             TrialPhase::Running | TrialPhase::Solving => Err(Rejection::TrialBusy),
             TrialPhase::Stopped => {
                 let store = self.store.take().ok_or(Rejection::TrialBusy)?;
-                self.phase = TrialPhase::Solving;
+                self.standing.phase = TrialPhase::Solving;
                 Ok(self.job(store, Wanted::Solution))
             }
         }
@@ -209,7 +309,7 @@ where
     ///
     /// [`Rejection::NoTrial`]; [`Rejection::TrialBusy`] while it is out already.
     pub fn take_for_coverage(&mut self) -> Result<SolveJob<Store, GAGES, HIGHER>, Rejection> {
-        if self.phase == TrialPhase::None {
+        if self.standing.phase == TrialPhase::None {
             return Err(Rejection::NoTrial);
         }
         let store = self.store.take().ok_or(Rejection::TrialBusy)?;
@@ -217,7 +317,13 @@ where
     }
 
     const fn job(&self, store: Store, wanted: Wanted) -> SolveJob<Store, GAGES, HIGHER> {
-        SolveJob { store, wanted, rank: self.rank, counts: self.counts, left_out: self.left_out }
+        SolveJob {
+            store,
+            wanted,
+            rank: self.standing.rank,
+            counts: self.standing.counts,
+            left_out: self.left_out,
+        }
     }
 
     /// Takes back what [`Trial::take_for_solving`] or [`Trial::take_for_coverage`] handed out: a trial that was to be
@@ -226,7 +332,7 @@ where
         self.store = Some(job.store);
         if job.wanted == Wanted::Solution {
             self.left_out = job.left_out;
-            self.phase = TrialPhase::Stopped;
+            self.standing.phase = TrialPhase::Stopped;
         }
     }
 }

@@ -11,8 +11,8 @@ use ftcal_shared::wire::frame::{Decoder, FrameError, encode};
 use ftcal_shared::wire::{
     AdcState, CalibrationUpload, ClockSource, CodesFrame, Coverage, GageList, GageTarget, Hello, Identity,
     InvalidCause, KeptCalibration, KeptCalibrations, MemoryRequest, PROTOCOL_VERSION, PackedWrenches,
-    Rejection, Request, Response, Run, SensorName, Solution, Status, StreamKind, ToDevice, ToHost,
-    TrialPhase, TrialStatus, WrenchFrame,
+    Rejection, Request, Response, Resumption, Run, SensorName, Solution, Status, StreamKind, ToDevice,
+    ToHost, TrialPhase, TrialStatus, WrenchFrame,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -110,10 +110,13 @@ const TRIAL: TrialStatus = TrialStatus {
     contradictory: 2,
     off_magnitude: 0,
     unattended: 129,
+    resumption: Resumption::Resumed,
+    checkpointed: 128,
 };
 
 // 729 = 5·128 + 89 and 300 = 2·128 + 44, each low seven bits first.
-const TRIAL_BYTES: [u8; 16] = [1, 3, 0x80, 0x01, 1, 5, 0xD9, 0x05, 0xAC, 0x02, 0xAC, 0x02, 2, 0, 0x81, 0x01];
+const TRIAL_BYTES: [u8; 19] =
+    [1, 3, 0x80, 0x01, 1, 5, 0xD9, 0x05, 0xAC, 0x02, 0xAC, 0x02, 2, 0, 0x81, 0x01, 1, 0x80, 0x01];
 
 #[test]
 fn responses() {

@@ -10,31 +10,50 @@ use super::{LoadedCalibration, Sensor};
 use crate::adc::AdcSettings;
 use crate::storage::items::{Settings, StoredCalibration};
 use crate::storage::job::{StoreJob, Stored};
-use crate::storage::memory::{Kept, StorageError};
+use crate::storage::keeper::Found;
+use crate::storage::memory::Kept;
 
 impl<Spi, Store, const GAGES: usize, const HIGHER: usize> Sensor<Spi, Store, GAGES, HIGHER>
 where
     Spi: SpiDevice<u8>,
     Store: DerefMut<Target = Bins<GAGES, HIGHER>>,
 {
-    /// Takes up what was kept across the reset: to be called once, as soon as the memory is read. A calibration is used at the gain
-    /// that it was made at, unless settings were kept that say otherwise.
-    pub fn restore(&mut self, kept: Result<Kept, StorageError>) {
-        let Ok(kept) = kept else {
+    /// Takes up what was found after the reset: to be called once, as soon as the memory is read. The converter is set for the trial
+    /// that goes on; else as was kept; else to the gain that the calibration was made at.
+    pub fn restore(&mut self, found: Found) {
+        let mut settings = found.trial;
+        let Ok(kept) = found.kept else {
             self.kept.current = KeptCalibration::Unreadable;
+            self.configure(settings);
             return;
         };
-        let mut settings = kept.settings;
+        settings = settings.or(kept.settings);
         if let Some(StoredCalibration { gain, .. }) = kept.calibration {
             let data_rate = self.acquisition.settings().data_rate;
             settings = settings.or(Some(Settings { data_rate, gain }));
         }
+        self.configure(settings);
         // Why it cannot be used, the status says.
         let _ = self.take_up(kept, true);
+    }
+
+    fn configure(&mut self, settings: Option<Settings>) {
         if let Some(Settings { data_rate, gain }) = settings {
             self.acquisition.configure(data_rate, gain);
             self.health.relearn(data_rate);
         }
+    }
+
+    /// A trial starts when there is room for its checkpoints. While samples are streamed, nothing is erased for them: the trial has none
+    /// then.
+    pub(super) fn prepare_trial(&mut self, rank: u8) -> Result<StoreJob, Rejection> {
+        self.require_nothing_stored(true)?;
+        self.require_no_self_test()?;
+        self.trial.may_start(rank)?;
+        self.storing = true;
+        #[expect(clippy::cast_possible_truncation, reason = "at most 12 gages")]
+        let gages = GAGES as u8;
+        Ok(StoreJob::PrepareTrial { rank, gages, may_erase: self.stream == StreamKind::Off })
     }
 
     /// What a request asks of the memory. Nothing is asked of it while samples are streamed or summed up; see
@@ -51,10 +70,7 @@ where
                 StoreJob::Calibration(StoredCalibration { upload: upload.clone(), gain: *gain })
             }
             MemoryRequest::RollBack { to } => StoreJob::RollBack(to),
-            MemoryRequest::StoreSettings => {
-                let &AdcSettings { data_rate, gain, .. } = self.acquisition.settings();
-                StoreJob::Settings(Settings { data_rate, gain })
-            }
+            MemoryRequest::StoreSettings => StoreJob::Settings(self.settings()),
             MemoryRequest::WriteName(name) => StoreJob::Name(name),
         };
         self.storing = true;
@@ -64,12 +80,18 @@ where
     /// Takes up what came of a [`StoreJob`], and says what to answer.
     pub fn finish_storing(&mut self, stored: Stored) -> Response {
         self.storing = false;
-        match stored.kept.map(|kept| self.take_up(kept, stored.is_rollback)) {
-            Err(error) => Response::Rejected(error.into()),
-            Ok(Err(rejection)) => Response::Rejected(rejection),
-            Ok(Ok(())) if stored.is_rollback => self.calibration_response(),
-            Ok(Ok(())) => Response::Done,
-        }
+        let served = match stored {
+            Stored::Kept(kept) => self.take_up(kept, false).map(|()| Response::Done),
+            Stored::RolledBack(kept) => self.take_up(kept, true).map(|()| self.calibration_response()),
+            Stored::Prepared { rank } => self.trial.start(rank, self.settings()).map(|()| Response::Done),
+            Stored::Failed(error) => Err(error.into()),
+        };
+        served.unwrap_or_else(Response::Rejected)
+    }
+
+    fn settings(&self) -> Settings {
+        let &AdcSettings { data_rate, gain, .. } = self.acquisition.settings();
+        Settings { data_rate, gain }
     }
 
     /// Notes what is kept; and uses it, if so wanted.
@@ -78,12 +100,15 @@ where
         self.kept = calibrations;
         self.identity = identity;
         let Some(StoredCalibration { upload, gain }) = calibration else { return Ok(()) };
-        let loaded = LoadedCalibration::new(upload, gain);
-        if loaded.is_err() {
-            self.kept.current = KeptCalibration::Unusable;
-        }
-        if use_it {
-            self.use_calibration(loaded?);
+        match LoadedCalibration::new(upload, gain) {
+            Ok(loaded) if use_it => self.use_calibration(loaded),
+            Ok(_) => {}
+            Err(rejection) => {
+                self.kept.current = KeptCalibration::Unusable;
+                if use_it {
+                    return Err(rejection);
+                }
+            }
         }
         Ok(())
     }

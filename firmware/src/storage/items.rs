@@ -34,7 +34,7 @@ impl StoredCalibration {
 }
 
 /// How the converter is to be set after a reset.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Settings {
     /// Conversions a second.
     pub data_rate: DataRate,

@@ -1,15 +1,14 @@
 //! Work on the memory, for the background: a store takes milliseconds, and one or two seconds where a sector has to be erased, during
 //! which the processor stands still.
 //!
-//! So a request that needs the memory becomes a [`StoreJob`], which somebody runs who keeps nobody waiting. None is made
+//! So a request that needs the memory becomes a [`StoreJob`], which somebody runs who keeps nobody waiting ([`super::keeper`]). None is made
 //! while samples are streamed or a trial runs ([`ftcal_shared::wire::Rejection::Measuring`]), and while one is out,
 //! neither can be started ([`ftcal_shared::wire::Rejection::Storing`]): whoever measures is never held up.
 
-use embedded_storage::nor_flash::NorFlash;
 use ftcal_shared::wire::{Rejection, SensorName};
 
-use super::items::{Name, Settings, StoredCalibration};
-use super::memory::{Kept, Memory, StorageError};
+use super::items::{Settings, StoredCalibration};
+use super::memory::{Kept, StorageError};
 
 /// What is to be done.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,28 +21,31 @@ pub enum StoreJob {
     Settings(Settings),
     /// Keep this name.
     Name(SensorName),
+    /// Make room for the checkpoints of a new trial.
+    PrepareTrial {
+        /// The trial's proper rank.
+        rank: u8,
+        /// The sensor's gages.
+        gages: u8,
+        /// Whether the processor may stand still for as long as an erase takes.
+        may_erase: bool,
+    },
 }
 
 /// What came of it.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Stored {
-    /// All that is kept now; or why it is what was kept before.
-    pub kept: Result<Kept, StorageError>,
-    /// Whether what is kept is to be used from now on.
-    pub is_rollback: bool,
-}
-
-impl StoreJob {
-    /// Does it.
-    pub fn run<Flash: NorFlash>(&self, memory: &mut Memory<Flash>) -> Stored {
-        let done = match self {
-            Self::Calibration(calibration) => memory.store_calibration(calibration),
-            Self::RollBack(to) => memory.roll_back(*to),
-            Self::Settings(settings) => memory.store(settings),
-            Self::Name(name) => memory.store(&Name(name.clone())),
-        };
-        Stored { kept: done.and_then(|()| memory.read()), is_rollback: matches!(self, Self::RollBack(_)) }
-    }
+pub enum Stored {
+    /// All that is kept now.
+    Kept(Kept),
+    /// All that is kept now, and is to be used from now on.
+    RolledBack(Kept),
+    /// The trial of this rank may start. It has checkpoints if there was room for them.
+    Prepared {
+        /// The trial's proper rank.
+        rank: u8,
+    },
+    /// It is not done: what is kept is what was kept before.
+    Failed(StorageError),
 }
 
 impl From<StorageError> for Rejection {

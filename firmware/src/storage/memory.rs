@@ -220,7 +220,12 @@ impl<Flash: NorFlash> Memory<Flash> {
     fn put(&mut self, key: Key, format: u8, item: &impl Serialize) -> Result<(), StorageError> {
         let mut record = [0; LONGEST];
         let length = encode(key, format, item, &mut record).ok_or(StorageError::NoRoom)?;
-        let record = record.get(..length).ok_or(StorageError::NoRoom)?;
+        self.keep(key, record.get(..length).ok_or(StorageError::NoRoom)?)
+    }
+
+    /// Writes a record and reads it back, unless it is there already.
+    #[inline(never)]
+    fn keep(&mut self, key: Key, record: &[u8]) -> Result<(), StorageError> {
         let mut room = [0; ROOM];
         if self.find(key, &mut room)? == Some(record) {
             return Ok(());
@@ -229,6 +234,7 @@ impl<Flash: NorFlash> Memory<Flash> {
         if self.find(key, &mut room)? == Some(record) { Ok(()) } else { Err(StorageError::ReadBackDiffers) }
     }
 
+    #[inline(never)]
     fn find<'room>(
         &mut self,
         key: Key,

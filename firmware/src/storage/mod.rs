@@ -1,4 +1,4 @@
-//! What survives a reset: calibrations, settings, name and counters, in the flash that the processor has.
+//! What survives a reset: calibrations, settings, name and counters, and the sums of a trial, in the flash that the processor has.
 //!
 //! # The promise
 //!
@@ -13,6 +13,7 @@
 //! | `pages` | an erase that was cut short is finished before anything is read |
 //! | `sequential-storage` | a map that only ever appends; a torn item is skipped, the one before it is found |
 //! | `record` | format number and checksum of each item; each is read back after it was written |
+//! | [`checkpoint`] | the sums of a trial have sectors of their own; the newest record that is whole counts |
 //! | [`memory`] | a new calibration is written to a place of its own, then one word of the roster makes it the current one |
 //!
 //! Two calibrations are kept, the current one and the one before it; [`memory::Memory::roll_back`] swaps them. There are
@@ -26,12 +27,15 @@
 //! calibration. It stands still for one or two seconds while a sector is being erased, which is due once in some
 //! 250 stores. So nothing is stored while samples are streamed or a trial runs; see [`job`].
 
+pub mod checkpoint;
 pub mod items;
 pub mod job;
+pub mod keeper;
 pub mod layout;
 pub mod memory;
 mod pages;
 mod record;
+mod words;
 
 #[cfg(test)]
 mod mock;

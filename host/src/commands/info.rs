@@ -159,6 +159,8 @@ struct Trial {
     contradictory: u32,
     off_magnitude: u32,
     unattended: u32,
+    resumption: &'static str,
+    checkpointed: u32,
 }
 
 #[derive(Serialize)]
@@ -221,6 +223,8 @@ impl Info {
                 contradictory: status.trial.contradictory,
                 off_magnitude: status.trial.off_magnitude,
                 unattended: status.trial.unattended,
+                resumption: words::resumption(status.trial.resumption),
+                checkpointed: status.trial.checkpointed,
             },
             link: Link { dropped_samples: status.dropped_samples, broken_frames: status.broken_frames },
             status: names(health.live),

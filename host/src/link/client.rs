@@ -218,13 +218,13 @@ impl<Line: Transport> Client<Line> {
         self.request_done(Request::Stream(kind))
     }
 
-    /// Starts a trial of this proper rank. Not repeated: a second start would be rejected, or drop samples.
+    /// Starts a trial of this proper rank; before that, the sensor may have to erase a part of its memory for it. Not repeated: a second start would be rejected, or drop samples.
     ///
     /// # Errors
     ///
     /// [`ClientError`].
     pub fn start_trial(&mut self, rank: u8) -> Result<(), ClientError> {
-        self.request_done(Request::StartTrial { rank })
+        self.request_done_within(Request::StartTrial { rank }, memory::STORING)
     }
 
     /// Stops the trial.

@@ -4,7 +4,8 @@ use std::fmt::Write;
 
 use ftcal_shared::fault::AdcFault;
 use ftcal_shared::wire::{
-    AdcState, ClockSource, Failure, KeptCalibration, Rejection, ResetCause, TrialPhase, TrialStatus,
+    AdcState, ClockSource, Failure, KeptCalibration, Rejection, ResetCause, Resumption, TrialPhase,
+    TrialStatus,
 };
 
 use super::frame::NoWrench;
@@ -181,13 +182,33 @@ pub const fn trial_phase(phase: TrialPhase) -> &'static str {
     }
 }
 
+/// What a reset has done to the trial.
+pub const fn resumption(resumption: Resumption) -> &'static str {
+    match resumption {
+        Resumption::None => "none",
+        Resumption::Resumed => "resumed",
+        Resumption::Lost => "lost",
+    }
+}
+
 /// State of the trial.
 pub fn trial_status(trial: &TrialStatus) -> String {
     let phase = trial_phase(trial.phase);
     if trial.phase == TrialPhase::None {
-        return phase.into();
+        return match trial.resumption {
+            Resumption::Lost => {
+                format!("{phase}; the one before the reset is lost: it had no checkpoint yet")
+            }
+            Resumption::None | Resumption::Resumed => phase.into(),
+        };
     }
     let mut words = format!("{phase}, rank {}, {} samples used", trial.rank, trial.used);
+    if trial.resumption == Resumption::Resumed {
+        words.push_str(" (resumed after a reset; what came between its last checkpoint and that is lost)");
+    }
+    if trial.checkpointed > 0 {
+        let _ = write!(words, ", {} of them safe from a reset", trial.checkpointed);
+    }
     if trial.saturated > 0 {
         let _ = write!(words, ", {} rejected for saturation", trial.saturated);
     }

@@ -19,7 +19,7 @@ use embedded_hal::delay::DelayNs;
 use ftcal_firmware::sensor::{LinkCounters, Reaction, Sensor};
 use ftcal_firmware::session::{Session, hello};
 use ftcal_firmware::storage::job::StoreJob;
-use ftcal_firmware::storage::memory::Memory;
+use ftcal_firmware::storage::keeper::Keeper;
 use ftcal_firmware::stream::{Batcher, Moment};
 use ftcal_firmware::trial::SolveJob;
 use ftcal_shared::estimation::bins::Bins;
@@ -166,7 +166,7 @@ struct GageBoard<const GAGES: usize, const HIGHER: usize> {
     bench: SharedBench,
     sensor: Sensor<SharedBench, Store<GAGES, HIGHER>, GAGES, HIGHER>,
     session: Session,
-    memory: Memory<SimulatedFlash>,
+    keeper: Keeper<SimulatedFlash>,
     solving: Option<(RequestId, SolveJob<Store<GAGES, HIGHER>, GAGES, HIGHER>)>,
     storing: Option<(RequestId, StoreJob)>,
     next_tick: DeviceTime,
@@ -179,14 +179,15 @@ struct GageBoard<const GAGES: usize, const HIGHER: usize> {
 impl<const GAGES: usize, const HIGHER: usize> GageBoard<GAGES, HIGHER> {
     fn new(bench: SharedBench, flash: SimulatedFlash) -> Self {
         let store = Box::new(Bins::new());
-        let mut memory = Memory::new(flash);
+        let mut keeper = Keeper::new(flash);
         let mut sensor = Sensor::new(bench.clone(), store, ClockSource::Simulated);
-        sensor.restore(memory.start());
+        let found = keeper.start(&mut sensor);
+        sensor.restore(found);
         Self {
             sensor,
             bench,
             session: Session::new(),
-            memory,
+            keeper,
             solving: None,
             storing: None,
             next_tick: DeviceTime::default(),
@@ -265,9 +266,10 @@ impl<const GAGES: usize, const HIGHER: usize> Board for GageBoard<GAGES, HIGHER>
             self.line.send(&ToHost::Response(id, response));
         }
         if let Some((id, job)) = self.storing.take() {
-            let response = self.sensor.finish_storing(job.run(&mut self.memory));
+            let response = self.sensor.finish_storing(self.keeper.run(&job));
             self.line.send(&ToHost::Response(id, response));
         }
+        self.keeper.attend(self.now(), &mut self.sensor);
         let announced = self.bench.with(Bench::next_conversion);
         let now = self.now();
         if announced {

@@ -12,6 +12,10 @@
 //!   falls with the number of samples, it shifts the answer by an amount that does not: an acceleration a of the hand
 //!   with no preferred direction gives u = ⟨(2m·a)²⟩ = 4⟨a²⟩/3 and lengthens ⟨|m|²⟩ by ⟨a²⟩, all gains by half of that, ⅜u.
 
+mod saved;
+
+pub use saved::Part;
+
 use super::basis::{Basis, basis};
 use super::code_sums::{CodeMean, CodeSums, MAX_SAMPLES};
 use super::coverage::{Coverage, coverage};

@@ -41,6 +41,10 @@
 //! All is counted in samples. At rates so high that the load moves by less than the noise in 28 samples, everything is still,
 //! and a trial is what it would be with no gate.
 
+mod saved;
+
+pub use saved::saved_words;
+
 use super::expectation::{Expectation, Meets};
 use super::rest_noise::{ChannelNoise, QUANTISATION_VARIANCE, RestNoise};
 use crate::units::AdcCode;

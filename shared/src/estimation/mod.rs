@@ -47,3 +47,4 @@ mod quadric;
 pub mod rest_noise;
 pub mod shape;
 pub mod uncertainty;
+mod words;

@@ -29,6 +29,10 @@
 //! Accumulators about one pivot add ([`Moments::merge`]): associative and commutative, exactly so for sum and Gram
 //! matrix and to rounding for the rest. A trial can thus be cut and resumed.
 
+mod saved;
+
+pub use saved::saved_words;
+
 use super::code_sums::{CodeSums, MAX_SAMPLES};
 use super::monomials::{Compensated, HALF, Lanes, add_monomials_of_pair, monomials_of_pair};
 use crate::refusal::Refusal;
@@ -269,6 +273,12 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
             self.block.batches = 0;
         }
         self.absorption = Absorption { pair: (0, 0), place: 0, spills };
+    }
+
+    /// Brings what is being absorbed to its end, which changes no sum that there will be. Samples that wait for more.
+    fn finish_absorption(&mut self) -> u64 {
+        self.absorb_share(usize::MAX);
+        self.batches[self.filling].samples as u64
     }
 
     /// Absorbs as many pairs of channels as do not exceed this share.

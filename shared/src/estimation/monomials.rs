@@ -24,6 +24,16 @@ impl Compensated {
         self.sum = sum;
     }
 
+    /// A sum of this value.
+    pub(super) const fn of(sum: f32) -> Self {
+        Self { sum, excess: 0.0 }
+    }
+
+    /// The sum, rounded to single precision.
+    pub(super) fn rounded(self) -> f32 {
+        self.sum - self.excess
+    }
+
     /// Adds another such sum.
     pub(super) fn join(&mut self, other: Self) {
         self.add(other.sum);

@@ -43,9 +43,9 @@ const ONCE_IN_A_MILLION: f64 = 4.75;
 /// Sums of contrasts over `GAGES` channels.
 #[derive(Clone, Debug)]
 pub struct RestNoise<const GAGES: usize> {
-    contrasts: u32,
+    pub(super) contrasts: u32,
     /// Σ cᵢcⱼ for i ≤ j, counts²; the lower triangle stays zero.
-    products: [[i64; GAGES]; GAGES],
+    pub(super) products: [[i64; GAGES]; GAGES],
 }
 
 /// The noise of the channels, as far as it is known beforehand.

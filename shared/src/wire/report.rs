@@ -92,6 +92,23 @@ pub struct TrialStatus {
     pub off_magnitude: u32,
     /// Samples that came while the sums were being worked on, and are lost to the trial.
     pub unattended: u32,
+    /// Whether the trial has survived a reset.
+    pub resumption: Resumption,
+    /// Samples that are kept: a reset now would lose the others.
+    pub checkpointed: u32,
+}
+
+/// What a reset has done to the trial.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Resumption {
+    /// There was none since the trial began.
+    #[default]
+    None,
+    /// It goes on from its last checkpoint. What came between that and the reset is lost; how many samples that were, is unknown.
+    Resumed,
+    /// There was a trial, and it cannot be resumed: it had no checkpoint yet, or other firmware wrote it.
+    Lost,
 }
 
 /// What a trial is doing.

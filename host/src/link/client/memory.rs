@@ -12,7 +12,7 @@ use crate::link::error::{ClientError, LinkError};
 use crate::link::transport::Transport;
 
 /// How long the sensor's memory may take: a store may have to erase two sectors, of two seconds each.
-const STORING: Duration = Duration::from_secs(10);
+pub(super) const STORING: Duration = Duration::from_secs(10);
 
 impl<Line: Transport> Client<Line> {
     /// Has the calibration in use kept across resets, and makes sure that it is. The one kept so far becomes the previous one.

@@ -1,0 +1,83 @@
+//! All that is kept, in one hand: whoever works in the background has it, and nobody else.
+
+use core::ops::DerefMut;
+
+use embedded_storage::nor_flash::NorFlash;
+use ftcal_shared::estimation::bins::Bins;
+use ftcal_shared::units::DeviceTime;
+
+use super::checkpoint::{Checkpoints, TrialAccess};
+use super::items::{Name, Settings};
+use super::job::{StoreJob, Stored};
+use super::memory::{Kept, Memory, StorageError};
+
+/// Memory and checkpoints, in one flash.
+#[derive(Debug)]
+pub struct Keeper<Flash> {
+    memory: Memory<Flash>,
+    checkpoints: Checkpoints,
+}
+
+/// What was found after a reset.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Found {
+    /// What was kept; or why nothing can be.
+    pub kept: Result<Kept, StorageError>,
+    /// How the converter is to be set for the trial that goes on, if one does.
+    pub trial: Option<Settings>,
+}
+
+impl<Flash: NorFlash> Keeper<Flash> {
+    /// A keeper of this flash.
+    pub const fn new(flash: Flash) -> Self {
+        Self { memory: Memory::new(flash), checkpoints: Checkpoints::new() }
+    }
+
+    /// Reads what was kept, and goes on with a trial that a reset has interrupted. To be called once, at the start.
+    pub fn start<Store, Access, const GAGES: usize, const HIGHER: usize>(
+        &mut self,
+        access: &mut Access,
+    ) -> Found
+    where
+        Store: DerefMut<Target = Bins<GAGES, HIGHER>>,
+        Access: TrialAccess<Store, GAGES, HIGHER>,
+    {
+        let kept = self.memory.start();
+        // A trial whose checkpoints cannot be read is none.
+        let trial = self.checkpoints.resume(self.memory.flash(), access).unwrap_or_default();
+        Found { kept, trial }
+    }
+
+    /// Makes a checkpoint of the trial if one is due. To be called again and again.
+    pub fn attend<Store, Access, const GAGES: usize, const HIGHER: usize>(
+        &mut self,
+        now: DeviceTime,
+        access: &mut Access,
+    ) where
+        Store: DerefMut<Target = Bins<GAGES, HIGHER>>,
+        Access: TrialAccess<Store, GAGES, HIGHER>,
+    {
+        self.checkpoints.attend(self.memory.flash(), now, access);
+    }
+
+    /// Does a job.
+    pub fn run(&mut self, job: &StoreJob) -> Stored {
+        let memory = &mut self.memory;
+        let done = match job {
+            StoreJob::Calibration(calibration) => memory.store_calibration(calibration),
+            StoreJob::RollBack(to) => memory.roll_back(*to),
+            StoreJob::Settings(settings) => memory.store(settings),
+            StoreJob::Name(name) => memory.store(&Name(name.clone())),
+            StoreJob::PrepareTrial { rank, gages, may_erase } => {
+                // A trial without checkpoints is a trial all the same.
+                let _ = self.checkpoints.begin(memory.flash(), usize::from(*gages), *may_erase);
+                return Stored::Prepared { rank: *rank };
+            }
+        };
+        match done.and_then(|()| memory.read()) {
+            Err(error) => Stored::Failed(error),
+            Ok(kept) if matches!(job, StoreJob::RollBack(_)) => Stored::RolledBack(kept),
+            Ok(kept) => Stored::Kept(kept),
+        }
+    }
+}
