@@ -42,7 +42,7 @@ pub const ANSWER_MICROS: u64 = 400_000;
 pub const FLASH_ATTEMPTS: u32 = 3;
 
 /// The most bytes of the flash in one message.
-pub const FLASH_CHUNK: usize = 64;
+pub const FLASH_CHUNK: usize = 240;
 
 /// How long the converter waits for its announcement to be handled, before it goes on without.
 pub const UNHANDLED_MICROS: u64 = 500_000;

@@ -1,8 +1,15 @@
 //! The power is cut at random instants while the image in the emulator writes to its memory, 200 times: none leaves a board without
 //! a valid calibration, old or new.
 //!
-//! To end the emulator is to cut its power: its flash is a file, written word by word, and the word under way stays torn. Every other
-//! life begins with a sector so full that the first store erases one.
+//! To end the emulator is to cut its power: its flash is a file, written word by word, and the word under way stays torn.
+//!
+//! | lives | what is under way when the power fails |
+//! |---|---|
+//! | 3 × 50 | stores and rollbacks; in every other life a sector is so full that the first of them erases one |
+//! | 44 | a trial's start, with its erase, and the record of one that was stopped |
+//! | 6 | the first checkpoint of a trial that runs |
+//!
+//! Several boards live at the same time: they wait most of it.
 #![cfg(unix)]
 
 use std::fs;
@@ -19,21 +26,32 @@ use ftcal::simulator::bus::SharedBench;
 use ftcal::simulator::emulator::Emulator;
 use ftcal::simulator::flash::{FlashPace, SimulatedFlash};
 use ftcal::simulator::scenario::{Scenario, ScenarioKind};
-use ftcal::simulator::tunnel::Pace;
+use ftcal::simulator::tunnel::{Pace, TunnelledConverter};
 use ftcal_firmware::storage::items::StoredCalibration;
 use ftcal_firmware::storage::layout::SECTOR;
 use ftcal_firmware::storage::memory::Memory;
-use ftcal_shared::units::{Dof, Gain};
-use ftcal_shared::wire::{CalibrationUpload, GageList, KeptCalibration};
+use ftcal_shared::units::{DataRate, DeviceTime, Dof, Gain};
+use ftcal_shared::wire::{CalibrationUpload, GageList, KeptCalibration, Resumption, TrialPhase};
 use rand::{Rng, RngExt};
 
 use ftcal_tests::random;
 
-/// Lives of the board.
-const CUTS: u32 = 200;
+/// Boards that store, and lives of each.
+const STORING: u64 = 3;
+const STORING_LIVES: u32 = 50;
+/// Lives of boards whose trial is stopped, and of boards whose trial runs.
+const STOPPED_LIVES: u32 = 44;
+const RUNNING_LIVES: u32 = 6;
 
 /// How long the board writes at most before the power is cut: twice what a store and a rollback take.
 const LONGEST_LIFE: Duration = Duration::from_millis(150);
+
+/// How long samples are taken before a trial is stopped.
+const SHORT_TRIAL: Duration = Duration::from_millis(200);
+/// How long a record takes, with a margin.
+const LONGEST_RECORD: Duration = Duration::from_millis(500);
+/// When the first checkpoint of a running trial begins.
+const FIRST_CHECKPOINT: Duration = Duration::from_secs(10);
 
 /// How long the board may take to read its memory after a start, and to mend it.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -105,10 +123,38 @@ fn about_to_erase(path: &Path) -> Vec<u8> {
     }
 }
 
-fn start(flash: &Path) -> Emulator {
-    let bench = SharedBench::new(Bench::new(Scenario::new(ScenarioKind::Wrist, 1).unwrap().sensor, 1));
+/// A converter that converts nothing.
+struct Silent {
+    now_micros: u64,
+}
+
+impl TunnelledConverter for Silent {
+    fn exchange(&mut self, _from_board: &[u8], to_board: &mut [u8]) {
+        to_board.fill(0);
+    }
+
+    fn next_conversion(&mut self) -> bool {
+        self.now_micros += 10_000;
+        false
+    }
+
+    fn now(&self) -> DeviceTime {
+        DeviceTime::from_micros(self.now_micros)
+    }
+}
+
+fn start(flash: &Path, converter: impl TunnelledConverter + Send + 'static) -> Emulator {
     let flash = SimulatedFlash::in_file(flash).unwrap().at_pace(FlashPace::Slow);
-    Emulator::start_with_flash(&image(), bench, flash, Pace::RealTime).unwrap()
+    Emulator::start_with_flash(&image(), converter, flash, Pace::RealTime).unwrap()
+}
+
+/// A load that is being turned.
+fn turned() -> SharedBench {
+    let scenario = Scenario::new(ScenarioKind::Wrist, 1).unwrap();
+    let mut bench = Bench::new(scenario.sensor, 1);
+    bench.hang(scenario.trials[0].load);
+    bench.turn();
+    SharedBench::new(bench)
 }
 
 fn connect(emulator: &Emulator) -> Client<SerialTransport> {
@@ -128,18 +174,17 @@ fn kept(client: &mut Client<SerialTransport>) -> (KeptCalibration, Option<Calibr
     }
 }
 
-#[test]
-#[ignore = "needs the images and the emulator: tests/run provides both"]
-fn no_power_cut_leaves_a_board_without_a_valid_calibration() {
-    let mut rng = random(1);
+/// The power fails while a board stores and rolls back.
+fn store_through_cuts(seed: u64) {
+    let mut rng = random(seed);
     let folder = tempfile::tempdir().unwrap();
     let full = about_to_erase(&folder.path().join("full"));
     let file = folder.path().join("flash");
     let current = calibration(1).identity;
     let mut may_be = Candidates { before: current, after: current };
     fs::write(&file, &full).unwrap();
-    for cut in 0..CUTS {
-        let emulator = start(&file);
+    for cut in 0..STORING_LIVES {
+        let emulator = start(&file, Silent { now_micros: 0 });
         let mut client = connect(&emulator);
         let (found, used) = kept(&mut client);
         let KeptCalibration::Calibration(identity) = found else {
@@ -163,4 +208,61 @@ fn no_power_cut_leaves_a_board_without_a_valid_calibration() {
             may_be = Candidates { before: current, after: current };
         }
     }
+}
+
+/// The power fails while a board starts trials, takes samples, and keeps what it has.
+fn try_through_cuts(seed: u64, lives: u32, is_stopped: bool) {
+    let mut rng = random(seed);
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("flash");
+    let stored = StoredCalibration { upload: calibration(1), gain: Gain::default() };
+    Memory::new(SimulatedFlash::in_file(&file).unwrap()).store_calibration(&stored).unwrap();
+    // Samples of the last trial that was found whole.
+    let mut last = 0;
+    let mut resumed = 0;
+    for cut in 0..lives {
+        let emulator = start(&file, turned());
+        let mut client = connect(&emulator);
+        let (found, _) = kept(&mut client);
+        assert_eq!(found, KeptCalibration::Calibration(stored.upload.identity), "cut {cut}");
+        let trial = client.trial_status().unwrap();
+        match trial.resumption {
+            Resumption::None => assert_eq!(cut, 0),
+            Resumption::Lost => assert_eq!(trial.phase, TrialPhase::None),
+            Resumption::Resumed => {
+                resumed += 1;
+                assert!(trial.used > 0 && trial.checkpointed == trial.used, "cut {cut}: {trial:?}");
+                let is_last = trial.used == last;
+                assert!(is_last || trial.used <= trial.offered, "cut {cut}: {trial:?}");
+                last = trial.used;
+                if trial.phase == TrialPhase::Running {
+                    client.stop_trial().unwrap();
+                }
+            }
+        }
+        client.configure_adc(DataRate::Hz250, Gain::default()).unwrap();
+        client.start_trial(3).unwrap();
+        let begin = Instant::now();
+        if is_stopped {
+            client.wait(SHORT_TRIAL).unwrap();
+            client.stop_trial().unwrap();
+        }
+        let begun = if is_stopped { begin.elapsed() } else { FIRST_CHECKPOINT };
+        let life = begun + rng.random_range(Duration::ZERO..LONGEST_RECORD);
+        thread::sleep(life.saturating_sub(begin.elapsed()));
+        drop(emulator);
+    }
+    assert!(resumed > lives / 4, "{resumed} of {lives}");
+}
+
+#[test]
+#[ignore = "needs the images and the emulator: tests/run provides both"]
+fn no_power_cut_leaves_a_board_without_a_valid_calibration() {
+    thread::scope(|scope| {
+        for seed in 0..STORING {
+            scope.spawn(move || store_through_cuts(seed));
+        }
+        scope.spawn(|| try_through_cuts(STORING, STOPPED_LIVES, true));
+        scope.spawn(|| try_through_cuts(STORING + 1, RUNNING_LIVES, false));
+    });
 }

@@ -305,19 +305,15 @@ fn write_head<Flash: NorFlash>(
 fn prepare<Flash: NorFlash>(flash: &mut Flash, side: u32, may_erase: bool) -> Result<bool, StorageError> {
     let start = side * SECTOR;
     let is_sealed = read_word(flash, start)? == SEAL;
-    let is_free = |flash: &mut Flash| is_blank(flash, start + HEAD, start + HEAD + HEAD_WORDS * WORD);
-    if is_sealed && is_free(flash)? {
+    if is_sealed && is_blank(flash, start + HEAD, start + HEAD + HEAD_WORDS * WORD)? {
         return Ok(true);
     }
-    if is_sealed || !is_blank(flash, start, start + SECTOR)? {
-        if !may_erase {
-            return Ok(false);
-        }
+    if may_erase {
         write_word(flash, start, 0)?;
         flash.erase(start, start + SECTOR).map_err(|_| StorageError::Flash)?;
+        write_word(flash, start, SEAL)?;
     }
-    write_word(flash, start, SEAL)?;
-    Ok(true)
+    Ok(may_erase)
 }
 
 fn is_free<Flash: NorFlash, const GAGES: usize>(

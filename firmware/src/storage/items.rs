@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::record::Key;
 
 /// Something that is kept under a key of its own. To keep something else, implement this for it, and give it a new key.
-pub trait Item: Serialize + for<'bytes> Deserialize<'bytes> {
+pub trait Item: Serialize + PartialEq + for<'bytes> Deserialize<'bytes> {
     /// Its key.
     #[doc(hidden)]
     const KEY: ItemKey;

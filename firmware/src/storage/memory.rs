@@ -70,19 +70,43 @@ impl<Flash: NorFlash> Memory<Flash> {
         &mut self.flash
     }
 
-    /// Reads what was kept, after what a power cut has interrupted is brought to its end.
+    /// Counts a start, and reads what was kept, after what a power cut has interrupted is brought to its end. A start that cannot be
+    /// counted is a start all the same.
+    ///
+    /// # Errors
+    ///
+    /// [`StorageError::Flash`].
+    pub fn start(&mut self) -> Result<Kept, StorageError> {
+        let mut found = self.survey()?;
+        found.counters.boots = found.counters.boots.saturating_add(1);
+        let _ = self.append(&found.counters);
+        self.kept(found)
+    }
+
+    /// Reads what is kept.
     ///
     /// # Errors
     ///
     /// [`StorageError::Flash`].
     pub fn read(&mut self) -> Result<Kept, StorageError> {
-        let found = self.roster()?;
+        let found = Found {
+            rosters: [self.get(Key::Roster, Roster::FORMAT)?, self.get(Key::RosterCopy, Roster::FORMAT)?],
+            settings: self.load()?.ok(),
+            name: self.load()?.unwrap_or_default(),
+            counters: self.load()?.unwrap_or_default(),
+        };
+        self.kept(found)
+    }
+
+    fn kept(&mut self, found: Found) -> Result<Kept, StorageError> {
+        let Found { rosters, settings, name: Name(name), counters: Counters { boots, stores } } = found;
+        let roster = newest(rosters);
         let mut calibrations = KeptCalibrations {
             current: KeptCalibration::Nothing,
-            previous: found.ok().and_then(|roster| roster.previous).map(|entry| entry.identity),
+            previous: roster.ok().and_then(|roster| roster.previous).map(|entry| entry.identity),
         };
         let mut calibration = None;
-        match found.map(|roster| roster.current) {
+        match roster.map(|roster| roster.current) {
             Err(missing) => calibrations.current = as_told(missing),
             Ok(None) => {}
             Ok(Some(entry)) => match self.calibration(entry)? {
@@ -93,18 +117,24 @@ impl<Flash: NorFlash> Memory<Flash> {
                 }
             },
         }
-        Ok(Kept { calibration, calibrations, settings: self.load()?.ok(), identity: self.identity()? })
+        Ok(Kept { calibration, calibrations, settings, identity: Identity { name, boots, stores } })
     }
 
-    /// Counts a start, and reads what was kept. A start that cannot be counted is a start all the same.
-    ///
-    /// # Errors
-    ///
-    /// [`StorageError::Flash`].
-    pub fn start(&mut self) -> Result<Kept, StorageError> {
-        let counters: Counters = self.load()?.unwrap_or_default();
-        let _ = self.store(&Counters { boots: counters.boots.saturating_add(1), ..counters });
-        self.read()
+    /// All but the calibrations, in one look through the flash instead of one for each.
+    fn survey(&mut self) -> Result<Found, StorageError> {
+        let mut room = [0; ROOM];
+        let mut found = Found::default();
+        self.with_map(|map| {
+            at_once(async {
+                let mut items = map.fetch_all_items(&mut room).await?;
+                // The newest of a key comes last.
+                while let Some((key, record)) = items.next::<&[u8]>(&mut room).await? {
+                    found.note(key, record);
+                }
+                Ok(())
+            })
+        })?;
+        Ok(found)
     }
 
     /// Makes this calibration the current one, and the one that was current the previous. Storing the one that is current
@@ -151,13 +181,13 @@ impl<Flash: NorFlash> Memory<Flash> {
         self.put_roster(Roster { number, current: Some(entry), previous: roster.current })
     }
 
-    /// Keeps an item; the one before it is forgotten.
+    /// Keeps an item; the one before it is forgotten. Keeping what is kept already changes nothing.
     ///
     /// # Errors
     ///
     /// [`StorageError`]; after which the item that was is kept, or this one.
     pub fn store<Kind: Item>(&mut self, item: &Kind) -> Result<(), StorageError> {
-        self.put(Kind::KEY.0, Kind::FORMAT, item)
+        if self.load()?.as_ref() == Ok(item) { Ok(()) } else { self.append(item) }
     }
 
     /// The item as it was stored last.
@@ -169,21 +199,9 @@ impl<Flash: NorFlash> Memory<Flash> {
         self.get(Kind::KEY.0, Kind::FORMAT)
     }
 
-    fn identity(&mut self) -> Result<Identity, StorageError> {
-        let Name(name) = self.load()?.unwrap_or_default();
-        let Counters { boots, stores } = self.load()?.unwrap_or_default();
-        Ok(Identity { name, boots, stores })
-    }
-
-    /// The newest roster of the two copies. Where one is lost, the other still tells.
     fn roster(&mut self) -> Result<Result<Roster, Missing>, StorageError> {
-        let one: Result<Roster, Missing> = self.get(Key::Roster, Roster::FORMAT)?;
-        let other: Result<Roster, Missing> = self.get(Key::RosterCopy, Roster::FORMAT)?;
-        Ok(match (one, other) {
-            (Ok(one), Ok(other)) if other.number.wrapping_sub(one.number).cast_signed() > 0 => Ok(other),
-            (Ok(roster), _) | (Err(_), Ok(roster)) => Ok(roster),
-            (Err(Missing::Nothing), missing @ Err(_)) | (missing @ Err(_), Err(_)) => missing,
-        })
+        let one = self.get(Key::Roster, Roster::FORMAT)?;
+        Ok(newest([one, self.get(Key::RosterCopy, Roster::FORMAT)?]))
     }
 
     /// The one instant at which one calibration gives way to another is within the first of these two.
@@ -191,7 +209,7 @@ impl<Flash: NorFlash> Memory<Flash> {
         self.put(Key::Roster, Roster::FORMAT, &roster)?;
         self.put(Key::RosterCopy, Roster::FORMAT, &roster)?;
         let counters: Counters = self.load()?.unwrap_or_default();
-        self.store(&Counters { stores: counters.stores.saturating_add(1), ..counters })
+        self.append(&Counters { stores: counters.stores.saturating_add(1), ..counters })
     }
 
     /// The calibration that the roster names: another one in its place, or none, is a corrupt one.
@@ -217,19 +235,21 @@ impl<Flash: NorFlash> Memory<Flash> {
         })
     }
 
+    /// Keeps an item that is not what is kept already.
+    fn append<Kind: Item>(&mut self, item: &Kind) -> Result<(), StorageError> {
+        self.put(Kind::KEY.0, Kind::FORMAT, item)
+    }
+
     fn put(&mut self, key: Key, format: u8, item: &impl Serialize) -> Result<(), StorageError> {
         let mut record = [0; LONGEST];
         let length = encode(key, format, item, &mut record).ok_or(StorageError::NoRoom)?;
-        self.keep(key, record.get(..length).ok_or(StorageError::NoRoom)?)
+        self.write(key, record.get(..length).ok_or(StorageError::NoRoom)?)
     }
 
-    /// Writes a record and reads it back, unless it is there already.
+    /// Writes a record and reads it back.
     #[inline(never)]
-    fn keep(&mut self, key: Key, record: &[u8]) -> Result<(), StorageError> {
+    fn write(&mut self, key: Key, record: &[u8]) -> Result<(), StorageError> {
         let mut room = [0; ROOM];
-        if self.find(key, &mut room)? == Some(record) {
-            return Ok(());
-        }
         self.with_map(|map| at_once(map.store_item(&mut room, &(key as u8), &record)))?;
         if self.find(key, &mut room)? == Some(record) { Ok(()) } else { Err(StorageError::ReadBackDiffers) }
     }
@@ -261,6 +281,47 @@ impl<Flash: NorFlash> Memory<Flash> {
         let (_, places) = map.destroy();
         self.places = outcome.is_ok().then_some(places);
         outcome
+    }
+}
+
+/// What is kept besides the calibrations.
+struct Found {
+    rosters: [Result<Roster, Missing>; 2],
+    settings: Option<Settings>,
+    name: Name,
+    counters: Counters,
+}
+
+impl Default for Found {
+    fn default() -> Self {
+        let (settings, name, counters) = (None, Name::default(), Counters::default());
+        Self { rosters: [Err(Missing::Nothing); 2], settings, name, counters }
+    }
+}
+
+impl Found {
+    /// Notes a record if it is one of these.
+    fn note(&mut self, key: u8, record: &[u8]) {
+        if key == Key::Roster as u8 {
+            self.rosters[0] = decode(Key::Roster, Roster::FORMAT, record);
+        } else if key == Key::RosterCopy as u8 {
+            self.rosters[1] = decode(Key::RosterCopy, Roster::FORMAT, record);
+        } else if key == Key::Settings as u8 {
+            self.settings = decode(Key::Settings, Settings::FORMAT, record).ok();
+        } else if key == Key::Name as u8 {
+            self.name = decode(Key::Name, Name::FORMAT, record).unwrap_or_default();
+        } else if key == Key::Counters as u8 {
+            self.counters = decode(Key::Counters, Counters::FORMAT, record).unwrap_or_default();
+        }
+    }
+}
+
+/// The newest of the two copies of the roster. Where one is lost, the other still tells.
+fn newest(rosters: [Result<Roster, Missing>; 2]) -> Result<Roster, Missing> {
+    match rosters {
+        [Ok(one), Ok(other)] if other.number.wrapping_sub(one.number).cast_signed() > 0 => Ok(other),
+        [Ok(roster), _] | [Err(_), Ok(roster)] => Ok(roster),
+        [Err(Missing::Nothing), missing @ Err(_)] | [missing @ Err(_), Err(_)] => missing,
     }
 }
 

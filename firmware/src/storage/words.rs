@@ -109,11 +109,8 @@ pub(super) fn write_word<Flash: NorFlash>(
 
 /// Whether all words from one address to another are erased.
 pub(super) fn is_blank<Flash: NorFlash>(flash: &mut Flash, from: u32, to: u32) -> Result<bool, StorageError> {
-    let mut piece = [0; PIECE];
-    for address in (from..to).step_by(PIECE) {
-        let bytes = &mut piece[..PIECE.min((to - address) as usize)];
-        flash.read(address, bytes).map_err(|_| StorageError::Flash)?;
-        if bytes.iter().any(|&byte| u32::from(byte) != ERASED & 0xFF) {
+    for address in (from..to).step_by(WORD as usize) {
+        if read_word(flash, address)? != ERASED {
             return Ok(false);
         }
     }
