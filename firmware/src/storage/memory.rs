@@ -16,6 +16,7 @@ use serde::de::DeserializeOwned;
 use super::items::{Counters, Entry, Item, Name, Roster, Settings, Slot, StoredCalibration};
 use super::pages::{PAGE, Pages, PagesError};
 use super::record::{KEYS, Key, LONGEST, Missing, decode, encode};
+use crate::health::KeptHealth;
 
 /// Room for the longest record and its key.
 const ROOM: usize = LONGEST + 8;
@@ -47,6 +48,8 @@ pub struct Kept {
     pub calibrations: KeptCalibrations,
     /// How the converter is to be set; `None` where that was never stored.
     pub settings: Option<Settings>,
+    /// Limits, tare and peaks; `None` where they were never stored.
+    pub health: Option<KeptHealth>,
     /// Name and counters.
     pub identity: Identity,
 }
@@ -93,7 +96,8 @@ impl<Flash: NorFlash> Memory<Flash> {
                 }
             },
         }
-        Ok(Kept { calibration, calibrations, settings: self.load()?.ok(), identity: self.identity()? })
+        let (settings, health) = (self.load()?.ok(), self.load()?.ok());
+        Ok(Kept { calibration, calibrations, settings, health, identity: self.identity()? })
     }
 
     /// Counts a start, and reads what was kept. A start that cannot be counted is a start all the same.
