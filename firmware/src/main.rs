@@ -135,8 +135,10 @@ mod app {
         let board = set_up(context.device, context.core.SYST, queues);
         defmt::info!("ftcal {=str}, clock: {}", env!("CARGO_PKG_VERSION"), board.clock);
 
+        let mut sensor = Sensor::new(board.converter, context.local.store, board.clock);
+        sensor.note_start(&board.start.diagnosis());
         let shared = Shared {
-            sensor: Sensor::new(board.converter, context.local.store, board.clock),
+            sensor,
             job: None,
             store_job: None,
             requests: (),

@@ -240,7 +240,7 @@ where
             announced,
             period_micros: 1_000_000 / self.acquisition.settings().data_rate.hertz(),
             status: self.status_word().frame_bits(),
-            parity: self.health.has_parity().then(|| self.last_parity()),
+            parity: self.health.chi_square(),
             measurement,
         })
     }
@@ -291,7 +291,7 @@ where
     fn use_calibration(&mut self, loaded: LoadedCalibration<GAGES>) {
         let data_rate = self.acquisition.settings().data_rate;
         self.health.watch(ParitySpace::new(&loaded.real_time.matrix()), None, data_rate);
-        self.health.start_anew();
+        self.health.start_anew(loaded.upload.identity);
         self.calibration = Some(loaded);
     }
 

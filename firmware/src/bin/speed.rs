@@ -174,7 +174,7 @@ mod target {
         let mut gate = Gate::<GAGES>::new();
         gate.expect(expectation);
         let mut health = Health::<GAGES>::new();
-        health.watch(ParitySpace::new(calibration.matrix()), None, DataRate::Hz1000);
+        health.watch(ParitySpace::new(&calibration.matrix()), None, DataRate::Hz1000);
         let (mut gated, mut applied, mut measured, mut most) = (0, 0, 0, 0);
         for sample in 0..GATED {
             let codes = codes(sample);

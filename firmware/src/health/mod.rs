@@ -24,6 +24,7 @@ use ftcal_shared::fault::AdcFault;
 use ftcal_shared::units::{DataRate, MAX_DOF};
 use ftcal_shared::wire::health::{StatusBit, StatusWord};
 use ftcal_shared::wire::{HealthReport, InvalidCause, LoadLimits, Rejection, TareReport};
+use serde::{Deserialize, Serialize};
 
 use crate::acquisition::Sample;
 
@@ -34,13 +35,13 @@ use parity_monitor::ParityMonitor;
 pub(crate) use self_test::{Observed, SelfTest};
 use tare::{Averaged, Tare};
 
-/// What outlives a reset, where somebody keeps it: see [`Health::kept`] and [`Health::restore`].
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+/// What outlives a reset, where it is stored with the settings: see [`Health::kept`] and [`Health::restore`].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct KeptHealth {
     /// The limits of the load.
     pub limits: LoadLimits,
     /// The tare, if it was to be kept.
-    pub tare: Option<[f32; MAX_DOF]>,
+    pub tare: Option<KeptTare>,
     /// The largest magnitude of each component ever, newton and newton metre.
     pub peak_ever: [f32; MAX_DOF],
 }
@@ -48,6 +49,15 @@ pub struct KeptHealth {
 impl KeptHealth {
     /// That of a sensor that has nothing kept.
     pub const NONE: Self = Self { limits: LoadLimits::NONE, tare: None, peak_ever: [0.0; MAX_DOF] };
+}
+
+/// A tare that outlives a reset.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct KeptTare {
+    /// What is subtracted, newton and newton metre.
+    pub wrench: [f32; MAX_DOF],
+    /// Identity of the calibration that it was measured with: to any other it means nothing.
+    pub calibration: u32,
 }
 
 /// What is known of the sensor's health.
@@ -62,10 +72,12 @@ pub struct Health<const GAGES: usize> {
     in_use: u16,
     left_out: Option<u8>,
     /// ‖π‖² of the last sample, over what noise alone makes of it in the mean.
-    chi_square: f32,
+    chi_square: Option<f32>,
     parity: Option<ParityMonitor<GAGES>>,
     loads: LoadWatch,
     tare: Tare,
+    /// Identity of the calibration that the tare is of.
+    calibration: u32,
     kept: KeptHealth,
 }
 
@@ -80,10 +92,11 @@ impl<const GAGES: usize> Health<GAGES> {
             repeating: 0,
             in_use: u16::MAX >> (u16::BITS as usize - GAGES),
             left_out: None,
-            chi_square: 0.0,
+            chi_square: None,
             parity: None,
             loads: LoadWatch::new(),
             tare: Tare::new(),
+            calibration: 0,
             kept: KeptHealth::NONE,
         }
     }
@@ -116,7 +129,8 @@ impl<const GAGES: usize> Health<GAGES> {
     }
 
     /// The wrenches of another calibration begin: a tare was of the one before, and so were its axes.
-    pub fn start_anew(&mut self) {
+    pub fn start_anew(&mut self, calibration: u32) {
+        self.calibration = calibration;
         self.tare.put(None);
         self.tare_changed(false);
     }
@@ -138,14 +152,9 @@ impl<const GAGES: usize> Health<GAGES> {
     }
 
     /// By how much the gages contradicted each other in the last sample: the square of their parity over what noise alone makes of it
-    /// in the mean. Zero where nobody can tell.
-    pub const fn chi_square(&self) -> f32 {
+    /// in the mean. `None` where nobody can tell.
+    pub const fn chi_square(&self) -> Option<f32> {
         self.chi_square
-    }
-
-    /// Whether there are more gages than components, so that they can contradict each other.
-    pub const fn has_parity(&self) -> bool {
-        self.parity.is_some()
     }
 
     /// Makes a wrench of a sample, or says why it is none. `calibration` is what is applied, or why nothing is; `saturated` the gages
@@ -162,7 +171,7 @@ impl<const GAGES: usize> Health<GAGES> {
     ) -> Result<[f32; MAX_DOF], InvalidCause> {
         self.saturated = saturated;
         self.repeating = sample.repeating;
-        self.chi_square = 0.0;
+        self.chi_square = None;
         let (saturated, repeating) = (saturated & self.in_use, sample.repeating & self.in_use);
         let of_sample = StatusWord::NONE
             .with(StatusBit::ConversionsLost, sample.after_gap)
@@ -195,7 +204,7 @@ impl<const GAGES: usize> Health<GAGES> {
         let signal = calibration.signal(&sample.codes);
         if let Some(monitor) = &mut self.parity {
             let judged = monitor.judge(&signal);
-            self.chi_square = judged.chi_square;
+            self.chi_square = monitor.is_watching().then_some(judged.chi_square);
             self.live = self
                 .live
                 .with(StatusBit::GagesContradict, judged.contradicts)
@@ -290,7 +299,8 @@ impl<const GAGES: usize> Health<GAGES> {
         let report = self.tare.report();
         self.set(StatusBit::TareActive, report.wrench.is_some());
         if store {
-            self.kept.tare = report.wrench;
+            let calibration = self.calibration;
+            self.kept.tare = report.wrench.map(|wrench| KeptTare { wrench, calibration });
         }
     }
 
@@ -304,13 +314,16 @@ impl<const GAGES: usize> Health<GAGES> {
         KeptHealth { peak_ever: self.peak_ever(), ..self.kept }
     }
 
-    /// Takes up what was stored before a reset. Limits that are none are left out.
+    /// Takes up what was stored before a reset; the calibration comes first. The tare of another calibration is left out.
     pub fn restore(&mut self, kept: KeptHealth) {
         self.kept = KeptHealth { limits: *self.loads.limits(), ..kept };
-        // Whoever stored it had it checked; should it be broken all the same, there is no limit rather than a wrong one.
+        // They were checked before they were stored; should they be broken all the same, there are none rather than wrong ones.
         let _ = self.set_limits(kept.limits);
-        if kept.tare.is_some_and(|wrench| wrench.iter().all(|component| component.is_finite())) {
-            self.tare.put(kept.tare);
+        let of_this = |tare: &KeptTare| {
+            tare.calibration == self.calibration && tare.wrench.iter().all(|component| component.is_finite())
+        };
+        if let Some(tare) = kept.tare.filter(of_this) {
+            self.tare.put(Some(tare.wrench));
             self.tare_changed(false);
         }
     }

@@ -7,10 +7,12 @@ use ftcal_shared::estimation::bins::Bins;
 use ftcal_shared::estimation::parity::{GageNeeded, ParitySpace};
 use ftcal_shared::units::DeviceTime;
 use ftcal_shared::wire::health::{StatusBit, StatusWord};
-use ftcal_shared::wire::{AdcState, ClockSource, HealthRequest, HealthResponse, Rejection, TrialPhase};
+use ftcal_shared::wire::{
+    AdcState, ClockSource, Diagnosis, HealthRequest, HealthResponse, KeptCalibration, Rejection, ResetCause,
+    TrialPhase,
+};
 
 use super::{Sensor, prepared};
-use crate::health::KeptHealth;
 
 impl<Spi, Store, const GAGES: usize, const HIGHER: usize> Sensor<Spi, Store, GAGES, HIGHER>
 where
@@ -22,24 +24,11 @@ where
         self.health.live()
     }
 
-    /// How far the gages contradicted each other in the last sample; see [`Health::chi_square`].
-    pub const fn last_parity(&self) -> f32 {
-        self.health.chi_square()
-    }
-
-    /// Puts something into the status word that only others know: where the last reset came from, what the storage says.
-    pub const fn set_condition(&mut self, bit: StatusBit, set: bool) {
-        self.health.set(bit, set);
-    }
-
-    /// Limits, tare and peaks that are to outlive a reset; see [`Health::kept`].
-    pub fn kept_health(&self) -> KeptHealth {
-        self.health.kept()
-    }
-
-    /// Takes up what was kept before a reset. A tare is of a calibration: that comes first.
-    pub fn restore_health(&mut self, kept: KeptHealth) {
-        self.health.restore(kept);
+    /// Notes in the status word why the sensor started.
+    pub const fn note_start(&mut self, diagnosis: &Diagnosis) {
+        let by_watchdog = matches!(diagnosis.reset, ResetCause::Watchdog);
+        self.health.set(StatusBit::WatchdogReset, by_watchdog);
+        self.health.set(StatusBit::PanicReset, diagnosis.failure.is_some());
     }
 
     pub(super) fn answer_about_health(
@@ -115,12 +104,15 @@ where
     pub(super) fn note_conditions(&mut self) {
         let gain = self.acquisition.settings().gain;
         let other_gain = self.calibration.as_ref().is_some_and(|calibration| calibration.gain != gain);
+        let memory_failed =
+            matches!(self.kept.current, KeptCalibration::Unreadable | KeptCalibration::Unusable);
         let conditions = [
             (StatusBit::AdcFault, self.acquisition.state() != AdcState::Running),
             (StatusBit::Uncalibrated, self.calibration.is_none()),
             (StatusBit::GainChanged, other_gain),
             (StatusBit::TrialRunning, self.trial.status().phase == TrialPhase::Running),
             (StatusBit::ClockFallback, self.clock == ClockSource::InternalFallback),
+            (StatusBit::StorageProblem, memory_failed),
         ];
         for (bit, set) in conditions {
             self.health.set(bit, set);

@@ -33,8 +33,13 @@ where
             settings = settings.or(Some(Settings { data_rate, gain }));
         }
         self.configure(settings);
+        let health = kept.health;
         // Why it cannot be used, the status says.
         let _ = self.take_up(kept, true);
+        // A tare is of a calibration, so it comes last.
+        if let Some(health) = health {
+            self.health.restore(health);
+        }
     }
 
     fn configure(&mut self, settings: Option<Settings>) {
@@ -70,7 +75,7 @@ where
                 StoreJob::Calibration(StoredCalibration { upload: upload.clone(), gain: *gain })
             }
             MemoryRequest::RollBack { to } => StoreJob::RollBack(to),
-            MemoryRequest::StoreSettings => StoreJob::Settings(self.settings()),
+            MemoryRequest::StoreSettings => StoreJob::Settings(self.settings(), self.health.kept()),
             MemoryRequest::WriteName(name) => StoreJob::Name(name),
         };
         self.storing = true;

@@ -5,6 +5,7 @@ use ftcal_shared::wire::{CalibrationUpload, SensorName};
 use serde::{Deserialize, Serialize};
 
 use super::record::Key;
+use crate::health::KeptHealth;
 
 /// Something that is kept under a key of its own. To keep something else, implement this for it, and give it a new key.
 pub trait Item: Serialize + PartialEq + for<'bytes> Deserialize<'bytes> {
@@ -44,6 +45,11 @@ pub struct Settings {
 
 impl Item for Settings {
     const KEY: ItemKey = ItemKey(Key::Settings);
+    const FORMAT: u8 = 1;
+}
+
+impl Item for KeptHealth {
+    const KEY: ItemKey = ItemKey(Key::Health);
     const FORMAT: u8 = 1;
 }
 

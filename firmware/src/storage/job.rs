@@ -9,6 +9,7 @@ use ftcal_shared::wire::{Rejection, SensorName};
 
 use super::items::{Settings, StoredCalibration};
 use super::memory::{Kept, StorageError};
+use crate::health::KeptHealth;
 
 /// What is to be done.
 #[derive(Clone, Debug, PartialEq)]
@@ -17,8 +18,8 @@ pub enum StoreJob {
     Calibration(StoredCalibration),
     /// Make the previous calibration, of this identity, the current one.
     RollBack(u32),
-    /// Keep these settings.
-    Settings(Settings),
+    /// Keep these settings, and with them limits, tare and peaks.
+    Settings(Settings, KeptHealth),
     /// Keep this name.
     Name(SensorName),
     /// Make room for the checkpoints of a new trial.

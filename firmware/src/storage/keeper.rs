@@ -66,7 +66,9 @@ impl<Flash: NorFlash> Keeper<Flash> {
         let done = match job {
             StoreJob::Calibration(calibration) => memory.store_calibration(calibration),
             StoreJob::RollBack(to) => memory.roll_back(*to),
-            StoreJob::Settings(settings) => memory.store(settings),
+            StoreJob::Settings(settings, health) => {
+                memory.store(settings).and_then(|()| memory.store(health))
+            }
             StoreJob::Name(name) => memory.store(&Name(name.clone())),
             StoreJob::PrepareTrial { rank, gages, may_erase } => {
                 // A trial without checkpoints is a trial all the same.

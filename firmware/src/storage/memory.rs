@@ -16,6 +16,7 @@ use serde::de::DeserializeOwned;
 use super::items::{Counters, Entry, Item, Name, Roster, Settings, Slot, StoredCalibration};
 use super::pages::{PAGE, Pages, PagesError};
 use super::record::{KEYS, Key, LONGEST, Missing, decode, encode};
+use crate::health::KeptHealth;
 
 /// Room for the longest record and its key.
 const ROOM: usize = LONGEST + 8;
@@ -47,6 +48,8 @@ pub struct Kept {
     pub calibrations: KeptCalibrations,
     /// How the converter is to be set; `None` where that was never stored.
     pub settings: Option<Settings>,
+    /// Limits, tare and peaks; `None` where they were never stored.
+    pub health: Option<KeptHealth>,
     /// Name and counters.
     pub identity: Identity,
 }
@@ -92,6 +95,7 @@ impl<Flash: NorFlash> Memory<Flash> {
         let found = Found {
             rosters: [self.get(Key::Roster, Roster::FORMAT)?, self.get(Key::RosterCopy, Roster::FORMAT)?],
             settings: self.load()?.ok(),
+            health: self.load()?.ok(),
             name: self.load()?.unwrap_or_default(),
             counters: self.load()?.unwrap_or_default(),
         };
@@ -99,7 +103,8 @@ impl<Flash: NorFlash> Memory<Flash> {
     }
 
     fn kept(&mut self, found: Found) -> Result<Kept, StorageError> {
-        let Found { rosters, settings, name: Name(name), counters: Counters { boots, stores } } = found;
+        let Found { rosters, settings, health, name: Name(name), counters: Counters { boots, stores } } =
+            found;
         let roster = newest(rosters);
         let mut calibrations = KeptCalibrations {
             current: KeptCalibration::Nothing,
@@ -117,7 +122,7 @@ impl<Flash: NorFlash> Memory<Flash> {
                 }
             },
         }
-        Ok(Kept { calibration, calibrations, settings, identity: Identity { name, boots, stores } })
+        Ok(Kept { calibration, calibrations, settings, health, identity: Identity { name, boots, stores } })
     }
 
     /// All but the calibrations, in one look through the flash instead of one for each.
@@ -288,6 +293,7 @@ impl<Flash: NorFlash> Memory<Flash> {
 struct Found {
     rosters: [Result<Roster, Missing>; 2],
     settings: Option<Settings>,
+    health: Option<KeptHealth>,
     name: Name,
     counters: Counters,
 }
@@ -295,7 +301,7 @@ struct Found {
 impl Default for Found {
     fn default() -> Self {
         let (settings, name, counters) = (None, Name::default(), Counters::default());
-        Self { rosters: [Err(Missing::Nothing); 2], settings, name, counters }
+        Self { rosters: [Err(Missing::Nothing); 2], settings, health: None, name, counters }
     }
 }
 
@@ -308,6 +314,8 @@ impl Found {
             self.rosters[1] = decode(Key::RosterCopy, Roster::FORMAT, record);
         } else if key == Key::Settings as u8 {
             self.settings = decode(Key::Settings, Settings::FORMAT, record).ok();
+        } else if key == Key::Health as u8 {
+            self.health = decode(Key::Health, KeptHealth::FORMAT, record).ok();
         } else if key == Key::Name as u8 {
             self.name = decode(Key::Name, Name::FORMAT, record).unwrap_or_default();
         } else if key == Key::Counters as u8 {

@@ -35,10 +35,12 @@ pub(super) enum Key {
     Name = 7,
     /// Boots and stores.
     Counters = 8,
+    /// Limits, tare and peaks.
+    Health = 9,
 }
 
 /// Keys that there are.
-pub(super) const KEYS: usize = 8;
+pub(super) const KEYS: usize = 9;
 
 /// Why there is no item.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

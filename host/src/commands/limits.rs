@@ -26,6 +26,9 @@ pub struct Arguments {
     /// Tell when a component is beyond a level, until it is less by the hysteresis, as in fz=50:2; fz=none for none
     #[arg(long = "threshold", value_name = "AXIS=LEVEL[:HYSTERESIS]")]
     thresholds: Vec<Setting>,
+    /// Have the sensor keep them across resets, with all its settings
+    #[arg(long)]
+    store: bool,
 }
 
 /// What a component is set to.
@@ -72,6 +75,9 @@ pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> 
     let before = client.limits()?;
     let wanted = arguments.applied_to(before, dof)?;
     let limits = if wanted == before { before } else { client.set_limits(wanted)? };
+    if arguments.store {
+        client.store_settings()?;
+    }
     Ok(write_limits(&limits, dof, streams.data)?)
 }
 

@@ -58,11 +58,17 @@ pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> 
         TareAction::Set { device, samples, store } => {
             let mut client = device.connect()?;
             let report = client.set_tare(*samples, *store)?;
+            if *store && report.phase == TarePhase::Settled {
+                client.store_settings()?;
+            }
             (client, report)
         }
         TareAction::Clear { device, store } => {
             let mut client = device.connect()?;
             let report = client.clear_tare(*store)?;
+            if *store {
+                client.store_settings()?;
+            }
             (client, report)
         }
         TareAction::Show { device } => {

@@ -28,12 +28,13 @@ pub enum HealthRequest {
     SetTare {
         /// Samples to average.
         samples: u16,
-        /// Keep it across resets.
+        /// Keep it across resets, from when the settings are stored
+        /// ([`StoreSettings`](super::MemoryRequest::StoreSettings)).
         store: bool,
     },
     /// Subtract nothing any more. Answered by [`HealthResponse::Tare`].
     ClearTare {
-        /// After the next reset, neither.
+        /// After a reset neither, once the settings are stored.
         store: bool,
     },
     /// Play every fault, and see whether it is found. Takes seconds, during which there are no wrenches. Answered by

@@ -1,4 +1,4 @@
-//! Tare, and what of the load's limits, tare and peaks outlives a reset.
+//! Tare.
 
 use ftcal::simulator::scenario::ScenarioKind;
 use ftcal_firmware::stream::Measurement;
@@ -46,7 +46,6 @@ fn a_tare_is_subtracted_flagged_and_gone_with_the_calibration() {
         let Measurement::Valid { wrench, .. } = measurement else { panic!("{measurement:?}") };
         assert_near(&wrench, &(&step.truth - &at_rest), &allowed, "tared");
     }
-    assert_eq!(rig.sensor.kept_health().tare, None, "kept only when asked");
 
     let upload = rig.upload();
     rig.ask(Request::UploadCalibration(upload.clone()));
@@ -57,22 +56,4 @@ fn a_tare_is_subtracted_flagged_and_gone_with_the_calibration() {
     rig.ask(Request::UploadCalibration(other));
     assert!(!rig.step().word.contains(StatusBit::TareActive));
     assert_eq!(tare(&mut rig, HealthRequest::ReadTare), (TarePhase::Settled, None));
-}
-
-#[test]
-fn what_is_kept_is_taken_up_again() {
-    let scenario = scenario(ScenarioKind::Fingertip, 42);
-    let mut rig = Rig::<4, { higher_moment_count(4) }>::of(&scenario, 42, DataRate::Hz1000);
-    rig.bench.with(|bench| bench.hold(Vector3::x_axis()));
-    tare(&mut rig, HealthRequest::SetTare { samples: 50, store: true });
-    rig.run(0.2);
-    let kept = rig.sensor.kept_health();
-    assert!(kept.tare.is_some() && kept.peak_ever[0] > 0.0);
-    let mut later = Rig::<4, { higher_moment_count(4) }>::of(&scenario, 43, DataRate::Hz1000);
-    later.sensor.restore_health(kept);
-    assert!(later.step().word.contains(StatusBit::TareActive));
-    let report = later.health(HealthRequest::Read);
-    assert!(report.peak_ever.iter().zip(&kept.peak_ever).all(|(now, before)| now >= before));
-    tare(&mut later, HealthRequest::ClearTare { store: true });
-    assert_eq!(later.sensor.kept_health().tare, None);
 }

@@ -156,3 +156,71 @@ impl<Line: Transport> Client<Line> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use ftcal_shared::wire::health::StatusBit;
+    use ftcal_shared::wire::{CalibrationUpload, GageList, LoadLimits, TarePhase};
+
+    use super::Client;
+    use crate::calibration::matrix::matrix_of_shape;
+    use crate::simulator::board::SimulatedBoard;
+    use crate::simulator::flash::SimulatedFlash;
+    use crate::simulator::scenario::{Scenario, ScenarioKind};
+    use crate::simulator::sensor::SoftwareSensor;
+
+    /// A sensor that was just switched on, with what this flash keeps; something hangs on it.
+    fn switched_on(scenario: &Scenario, flash: &SimulatedFlash) -> Client<SimulatedBoard> {
+        let board = SimulatedBoard::with_flash(scenario.sensor.clone(), 7, flash.clone()).expect("sizes fit");
+        board.bench().with(|bench| bench.hang(scenario.trials[0].load));
+        let mut client = Client::connect(board).expect("answers");
+        client.wait_for_converter().expect("the converter starts");
+        client
+    }
+
+    fn true_calibration(sensor: &SoftwareSensor) -> CalibrationUpload {
+        let matrix = matrix_of_shape(sensor.shape()).expect("of full rank").transpose();
+        #[expect(clippy::cast_possible_truncation, reason = "this is the form in which it travels")]
+        let matrix = matrix.iter().map(|&element| element as f32).collect();
+        let bias_counts = GageList::from_slice(sensor.bias_counts().as_slice()).expect("room");
+        let mut upload = CalibrationUpload { dof: sensor.dof(), bias_counts, matrix, identity: 0 };
+        upload.identity = upload.identity_of_numbers();
+        upload
+    }
+
+    #[test]
+    fn limits_peaks_and_a_tare_that_is_to_be_kept_survive_a_reset() {
+        let scenario = Scenario::new(ScenarioKind::Fingertip, 7).expect("sizes fit");
+        let flash = SimulatedFlash::default();
+        let mut client = switched_on(&scenario, &flash);
+        client.upload_calibration(&true_calibration(&scenario.sensor)).expect("taken");
+        client.store_calibration().expect("kept");
+        let limits = LoadLimits { combined: 0.5, ..LoadLimits::NONE };
+        assert_eq!(client.set_limits(limits).expect("sound"), limits);
+        let kept = client.set_tare(100, true).expect("answers");
+        assert!(kept.phase == TarePhase::Settled && kept.wrench.is_some(), "{kept:?}");
+        client.store_settings().expect("kept");
+        let peaks = client.health().expect("answers").peak_ever;
+        assert!(client.set_tare(50, false).expect("answers") != kept, "another, not to be kept");
+
+        let mut client = switched_on(&scenario, &flash);
+        assert_eq!(client.tare().expect("answers"), kept);
+        assert_eq!(client.limits().expect("answers"), limits);
+        let report = client.health().expect("answers");
+        assert!(report.live.contains(StatusBit::TareActive));
+        assert!(report.peak_ever.iter().zip(&peaks).all(|(now, before)| now >= before), "{report:?}");
+
+        // The tare is of a calibration, and with another one it is not taken up.
+        let mut other = true_calibration(&scenario.sensor);
+        other.matrix[0] *= 1.5;
+        other.identity = other.identity_of_numbers();
+        client.upload_calibration(&other).expect("taken");
+        client.store_calibration().expect("kept");
+        let mut client = switched_on(&scenario, &flash);
+        client.wait(Duration::from_millis(50)).expect("the line is sound");
+        assert_eq!(client.tare().expect("answers").wrench, None);
+        assert_eq!(client.limits().expect("answers"), limits);
+    }
+}
