@@ -5,6 +5,7 @@
 //!                │                                                │
 //!        [`acquisition`] ── codes ──► [`sensor`] ◄── request ── [`session`]
 //!          [`adc`] driver    [`trial`], calibration, [`health`]   │
+//!                │                  [`decimator`]                  │
 //!                │                        │                       │
 //!           any SPI bus                 moments                responses
 //!                                          │                       │
@@ -19,6 +20,7 @@
 //! | [`sensor::Sensor::tick`] | every few milliseconds | timer |
 //! | [`session::Session::on_byte`] | a byte came from the host | serial interrupt |
 //! | [`sensor::Sensor::answer`] | a request is complete | below the sample path |
+//! | [`session::Session::watch`] | every few milliseconds | below the sample path |
 //! | [`stream::Batcher`] | samples wait for the line | below the sample path |
 //! | [`trial::SolveJob::solve`] | a trial is to be solved | lowest priority, in the background |
 //! | [`storage::job::StoreJob::run`] | something is to be stored | lowest priority, in the background |
@@ -26,7 +28,9 @@
 
 pub mod acquisition;
 pub mod adc;
+pub mod baud;
 pub mod black_box;
+pub mod decimator;
 pub mod health;
 pub mod long_count;
 pub mod sensor;

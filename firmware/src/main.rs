@@ -38,8 +38,9 @@ fn main() -> std::process::ExitCode {
 mod app {
     use core::sync::atomic::{AtomicU32, Ordering};
 
+    use ftcal_firmware::baud::DEFAULT_BAUD;
     use ftcal_firmware::sensor::{LinkCounters, Reaction, Sensor};
-    use ftcal_firmware::session::{Session, hello};
+    use ftcal_firmware::session::{Order, Session};
     use ftcal_firmware::storage::checkpoint::TrialAccess;
     use ftcal_firmware::storage::job::StoreJob;
     use ftcal_firmware::storage::keeper::Keeper;
@@ -48,7 +49,7 @@ mod app {
     use ftcal_firmware::vitality::{Task, Vitality};
     use ftcal_shared::estimation::bins::Bins;
     use ftcal_shared::estimation::moments::higher_moment_count;
-    use ftcal_shared::wire::{Request, RequestId, Response, ToDevice, ToHost};
+    use ftcal_shared::wire::{Rejection, Request, RequestId, Response, ToHost};
     use heapless::spsc::{Consumer, Producer, Queue};
     use rtic::Mutex;
     use stm32f4xx_hal::pac::Interrupt;
@@ -104,6 +105,8 @@ mod app {
         moments: Consumer<'static, Moment>,
         batcher: Batcher,
         outbox: Outbox,
+        /// The line's next rate, once all that is in the outbox has left.
+        next_baud: Option<u32>,
     }
 
     impl Conversation {
@@ -111,6 +114,27 @@ mod app {
         fn next_of_stream(&mut self) -> Option<ToHost> {
             let line_is_idle = self.outbox.is_idle();
             self.batcher.next(time_base::now(), line_is_idle, || self.moments.dequeue())
+        }
+
+        /// Whether the line takes the next message: the one before is in its queue, and its rate is not about to change.
+        fn is_ready(&mut self) -> bool {
+            if !self.outbox.flush() {
+                return false;
+            }
+            if let Some(baud) = self.next_baud.take() {
+                self.outbox.change_rate(baud);
+                self.session.rate_changed(baud, time_base::now());
+            }
+            !self.outbox.is_changing_rate()
+        }
+
+        /// Has the line change its rate after the next message.
+        fn plan_rate(&mut self, baud: u32) -> Response {
+            if !self.outbox.has_rate(baud) {
+                return Response::Rejected(Rejection::UnsupportedRate);
+            }
+            self.next_baud = Some(baud);
+            Response::Done
         }
 
         /// Forgets what of the stream has not gone yet.
@@ -152,7 +176,8 @@ mod app {
             received: received_out,
             moments: moments_out,
             batcher: Batcher::new(),
-            outbox: Outbox::new(to_send_in),
+            outbox: Outbox::new(to_send_in, board.link_clock_hertz),
+            next_baud: None,
         };
         let local = Local {
             link: board.link,
@@ -217,35 +242,49 @@ mod app {
     )]
     fn session(mut context: session::Context) {
         context.shared.vitality.report(Task::Session);
-        while context.local.conversation.outbox.flush() {
+        watch_host(&mut context);
+        while context.local.conversation.is_ready() {
             let Some(message) = next_message(&mut context) else { break };
             context.local.conversation.outbox.put(&message);
         }
         rtic::pend(Interrupt::USART2);
     }
 
+    /// Ends what a host that has gone has left running.
+    fn watch_host(context: &mut session::Context<'_>) {
+        let now = time_base::now();
+        let silence = context.local.conversation.session.watch(now);
+        if silence.end_stream {
+            context.shared.sensor.lock(Sensor::abandon_stream);
+        }
+        if silence.fall_back {
+            context.local.conversation.next_baud = Some(DEFAULT_BAUD);
+        }
+    }
+
     /// What goes to the host next: answers before samples.
     fn next_message(context: &mut session::Context<'_>) -> Option<ToHost> {
         if let Some((id, response)) = context.shared.outcome.lock(Option::take) {
+            context.local.conversation.session.answered(id, &response);
             return Some(ToHost::Response(id, response));
         }
         while let Some(byte) = context.local.conversation.received.dequeue() {
-            let answer = match context.local.conversation.session.on_byte(byte) {
+            let answer = match context.local.conversation.session.on_byte(byte, time_base::now()) {
                 None => None,
-                Some(ToDevice::Hello) => Some(ToHost::Hello(hello())),
-                Some(ToDevice::Request(id, request)) => {
-                    answer(context, id, request).map(|response| ToHost::Response(id, response))
-                }
+                Some(Order::Send(message)) => return Some(message),
+                Some(Order::Serve(id, request)) => serve(context, id, request).map(|response| (id, response)),
+                Some(Order::ChangeRate(id, baud)) => Some((id, context.local.conversation.plan_rate(baud))),
             };
-            if answer.is_some() {
-                return answer;
+            if let Some((id, response)) = answer {
+                context.local.conversation.session.answered(id, &response);
+                return Some(ToHost::Response(id, response));
             }
         }
         context.local.conversation.next_of_stream()
     }
 
     /// Has the sensor answer; `None` where the answer takes time and comes as the outcome of a job.
-    fn answer(context: &mut session::Context<'_>, id: RequestId, request: Request) -> Option<Response> {
+    fn serve(context: &mut session::Context<'_>, id: RequestId, request: Request) -> Option<Response> {
         let now = time_base::now();
         let is_new_stream = matches!(request, Request::Stream(_));
         let counters = LinkCounters {

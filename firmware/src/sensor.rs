@@ -12,14 +12,15 @@ use ftcal_shared::estimation::application::{RealTimeCalibration, UnusableCalibra
 use ftcal_shared::estimation::bins::Bins;
 use ftcal_shared::estimation::parity::ParitySpace;
 use ftcal_shared::fault::AdcFault;
-use ftcal_shared::units::{AdcCode, DeviceTime, Gain, SampleIndex};
+use ftcal_shared::units::{AdcCode, Decimation, DeviceTime, Gain, SampleIndex};
 use ftcal_shared::wire::health::StatusBit;
 use ftcal_shared::wire::{
     AdcState, CalibrationUpload, ClockSource, CodesFrame, GageList, Identity, InvalidCause, KeptCalibrations,
-    PackedWrenches, Rejection, Request, Response, Status, StreamKind,
+    Output, PackedWrenches, Rejection, Request, Response, Status, StreamKind,
 };
 
 use crate::acquisition::{Acquisition, Sample};
+use crate::decimator::{Decimator, group_delay};
 use crate::health::{Health, Observed, SelfTest, is_disturbance};
 use crate::storage::checkpoint::TrialAccess;
 use crate::storage::job::StoreJob;
@@ -60,6 +61,8 @@ pub struct Sensor<Spi, Store, const GAGES: usize, const HIGHER: usize> {
     health: Health<GAGES>,
     self_test: SelfTest<GAGES>,
     stream: StreamKind,
+    abandoned_streams: u32,
+    decimator: Decimator,
     clock: ClockSource,
 }
 
@@ -99,6 +102,8 @@ where
             health: Health::new(),
             self_test: SelfTest::new(),
             stream: StreamKind::Off,
+            abandoned_streams: 0,
+            decimator: Decimator::new(Decimation::default()),
             clock,
         }
     }
@@ -152,8 +157,10 @@ where
                 self.observe(now, &Observed::Fault(fault));
                 let measurement = Measurement::Invalid(self.cause_of(fault));
                 let index = self.acquisition.last_index();
-                (self.stream == StreamKind::Wrench)
-                    .then(|| self.wrench_moment(index, announced, now, measurement))
+                match self.stream {
+                    StreamKind::Wrench => self.wrench_moment(index, announced, now, measurement),
+                    StreamKind::Codes | StreamKind::Off => None,
+                }
             }
         }
     }
@@ -170,6 +177,7 @@ where
             Request::ConfigureAdc(data_rate, gain) => self.require_peace().map(|()| {
                 self.acquisition.configure(data_rate, gain);
                 self.health.relearn(data_rate);
+                self.decimator = Decimator::new(self.decimator.decimation());
                 Response::Done
             }),
             Request::Stream(kind) => self.require_nothing_stored(kind != StreamKind::Off).map(|()| {
@@ -202,9 +210,25 @@ where
                 Err(rejection) => Err(rejection),
             },
             Request::Health(request) => self.answer_about_health(request, now).map(Response::Health),
+            // The line is the board's.
+            Request::ChangeRate(_) => Err(Rejection::UnsupportedRate),
+            Request::Output(decimation) => {
+                if let Some(decimation) = decimation {
+                    self.decimator = Decimator::new(decimation);
+                }
+                Ok(Response::Output(self.output()))
+            }
         };
         self.note_conditions();
         Reaction::Respond(served.unwrap_or_else(Response::Rejected))
+    }
+
+    /// Nobody listens any more: what was being streamed is not, and the status says so.
+    pub fn abandon_stream(&mut self) {
+        if self.stream != StreamKind::Off {
+            self.stream = StreamKind::Off;
+            self.abandoned_streams = self.abandoned_streams.wrapping_add(1);
+        }
     }
 
     /// Takes a trial back that was solved or asked for its coverage.
@@ -212,7 +236,12 @@ where
         self.trial.finish(job);
     }
 
-    fn moment(&self, sample: &Sample<GAGES>, now: DeviceTime, measurement: Measurement) -> Option<Moment> {
+    fn moment(
+        &mut self,
+        sample: &Sample<GAGES>,
+        now: DeviceTime,
+        measurement: Measurement,
+    ) -> Option<Moment> {
         match self.stream {
             StreamKind::Off => None,
             // What is played is not to be recorded.
@@ -222,27 +251,30 @@ where
                 time: sample.time,
                 codes: GageList::from_slice(&sample.codes).ok()?,
             })),
-            StreamKind::Wrench => Some(self.wrench_moment(sample.index, sample.time, now, measurement)),
+            StreamKind::Wrench => self.wrench_moment(sample.index, sample.time, now, measurement),
         }
     }
 
+    /// Puts a measurement at the converter's rate into the stream; what comes of it has the stream's rate.
     fn wrench_moment(
-        &self,
+        &mut self,
         index: SampleIndex,
         time: DeviceTime,
         announced: DeviceTime,
         measurement: Measurement,
-    ) -> Moment {
-        Moment::Wrench(WrenchMoment {
+    ) -> Option<Moment> {
+        let moment = WrenchMoment {
             index,
             stride: 1,
             time,
             announced,
-            period_micros: 1_000_000 / self.acquisition.settings().data_rate.hertz(),
+            period_nanos: 1_000_000_000 / self.acquisition.settings().data_rate.hertz(),
             status: self.status_word().frame_bits(),
             parity: self.health.chi_square(),
+            basis: self.health.basis(),
             measurement,
-        })
+        };
+        self.decimator.push(&moment).map(Moment::Wrench)
     }
 
     /// Why there is no wrench while the converter has this fault.
@@ -299,6 +331,15 @@ where
         Response::Calibration(self.calibration.as_ref().map(|calibration| calibration.upload.clone()))
     }
 
+    fn output(&self) -> Output {
+        let decimation = self.decimator.decimation();
+        Output {
+            data_rate: self.acquisition.settings().data_rate,
+            decimation,
+            group_delay_conversions: group_delay(decimation),
+        }
+    }
+
     fn status(&self, now: DeviceTime, link: LinkCounters) -> Status {
         let counters = self.acquisition.counters();
         let settings = self.acquisition.settings();
@@ -320,6 +361,7 @@ where
             dropped_samples: link.dropped_samples,
             broken_frames: link.broken_frames,
             kept: self.kept,
+            abandoned_streams: self.abandoned_streams,
         }
     }
 }

@@ -12,7 +12,7 @@
 //! | when it holds [`MAX_RUN`] samples | it is full |
 //! | when the next moment does not belong to it | another validity, cause, calibration or stride, a gap, a pause |
 //! | before its oldest sample is older than [`LONGEST_WAIT_MICROS`] | latency stays bounded |
-//! | at once, where samples are [`EAGER_PERIOD_MICROS`] apart or more and the line is idle | at low rates nothing is gained by waiting |
+//! | at once, where samples are [`EAGER_PERIOD_NANOS`] apart or more and the line is idle | at low rates nothing is gained by waiting |
 //!
 //! That a frame is due is found out when a moment or a tick comes. While samples come, none waits for longer than the bound;
 //! the last ones before the samples end wait for the next tick at most.
@@ -25,7 +25,7 @@ pub const LONGEST_WAIT_MICROS: u64 = 5_000;
 
 /// Samples that are this far apart do not wait for each other while the line is idle: a frame of one takes 0.8 ms at 921 600
 /// baud.
-pub const EAGER_PERIOD_MICROS: u32 = 1_000;
+pub const EAGER_PERIOD_NANOS: u32 = 1_000_000;
 
 /// What the sample path has to say at one moment.
 #[derive(Clone, Debug, PartialEq)]
@@ -50,11 +50,13 @@ pub struct WrenchMoment {
     /// What the board's clock said when its conversion was announced.
     pub announced: DeviceTime,
     /// Nominal time to the next sample.
-    pub period_micros: u32,
+    pub period_nanos: u32,
     /// The low 16 bits of the status word.
     pub status: u16,
     /// χ² of the parity channels; `None` where there are none.
     pub parity: Option<f32>,
+    /// A number that changes with whatever wrenches are made of: calibration, gages in use, tare.
+    pub basis: u8,
     /// The wrench, or why there is none.
     pub measurement: Measurement,
 }
@@ -119,12 +121,12 @@ impl OpenRun {
     /// Whether this sample comes right after the last one, and is of its kind.
     fn is_continued_by(&self, sample: &WrenchMoment) -> bool {
         let Self { last, .. } = self;
-        let pause = micros_since(sample.time, last.time);
-        let period = u64::from(last.period_micros);
+        let pause = 1000 * micros_since(sample.time, last.time);
+        let period = u64::from(last.period_nanos);
         sample.measurement.kind() == self.kind
             && sample.stride == last.stride
             && sample.index.since(last.index) == u32::from(last.stride)
-            && sample.period_micros == last.period_micros
+            && sample.period_nanos == last.period_nanos
             && sample.time >= last.time
             && 2 * pause.abs_diff(period) <= period
     }
@@ -214,10 +216,10 @@ impl Batcher {
             Waiting::Codes(_) | Waiting::Silence(_) => true,
             Waiting::Run(run) => {
                 let at_next_sample =
-                    micros_since(now, run.first.announced) + u64::from(run.last.period_micros);
+                    micros_since(now, run.first.announced) + u64::from(run.last.period_nanos / 1000);
                 usize::from(run.samples) >= MAX_RUN
                     || at_next_sample > LONGEST_WAIT_MICROS
-                    || (line_is_idle && run.last.period_micros >= EAGER_PERIOD_MICROS)
+                    || (line_is_idle && run.last.period_nanos >= EAGER_PERIOD_NANOS)
             }
         }
     }
@@ -273,7 +275,7 @@ impl Batcher {
 }
 
 /// The larger one, where there are any; what is not a number counts as larger than all.
-fn larger(one: Option<f32>, other: Option<f32>) -> Option<f32> {
+pub(crate) fn larger(one: Option<f32>, other: Option<f32>) -> Option<f32> {
     match (one, other) {
         (Some(one), Some(other)) => Some(if one >= other || one.is_nan() { one } else { other }),
         (one, other) => one.or(other),

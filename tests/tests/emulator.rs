@@ -19,6 +19,7 @@ use ftcal::simulator::fault::Fault;
 use ftcal::simulator::scenario::{Scenario, ScenarioKind};
 use ftcal::simulator::sensor::SoftwareSensor;
 use ftcal::simulator::tunnel::{Pace, TunnelledConverter};
+use ftcal_firmware::baud::DEFAULT_BAUD;
 use ftcal_firmware::tunnel::ANSWER_MICROS;
 use ftcal_shared::estimation::bins::Bins;
 use ftcal_shared::estimation::moments::higher_moment_count;
@@ -244,4 +245,11 @@ fn the_real_image_starts_and_says_that_its_bus_is_empty() {
     let mut client = connect(&emulator);
     wait_for(&mut client, AdcState::Faulty(AdcFault::NotResponding));
     assert_eq!(client.status().unwrap().conversions, 0);
+    // The emulated line carries all rates; what counts is that the board changes to them, and goes on.
+    for baud in [2_000_000, 1_000_000, DEFAULT_BAUD] {
+        client.change_rate(baud).unwrap();
+        client.status().unwrap();
+    }
+    assert!(client.change_rate(3_000_000).is_err());
+    client.status().unwrap();
 }

@@ -6,11 +6,11 @@
 
 use ftcal_shared::fault::AdcFault;
 use ftcal_shared::refusal::Refusal;
-use ftcal_shared::units::{AdcCode, DataRate, DeviceTime, Dof, Gain, SampleIndex};
+use ftcal_shared::units::{AdcCode, DataRate, Decimation, DeviceTime, Dof, Gain, SampleIndex};
 use ftcal_shared::wire::frame::{Decoder, FrameError, encode};
 use ftcal_shared::wire::{
     AdcState, CalibrationUpload, ClockSource, CodesFrame, Coverage, GageList, GageTarget, Hello, Identity,
-    InvalidCause, KeptCalibration, KeptCalibrations, MemoryRequest, PROTOCOL_VERSION, PackedWrenches,
+    InvalidCause, KeptCalibration, KeptCalibrations, MemoryRequest, Output, PROTOCOL_VERSION, PackedWrenches,
     Rejection, Request, Response, Resumption, Run, SensorName, Solution, Status, StreamKind, ToDevice,
     ToHost, TrialPhase, TrialStatus, WrenchFrame,
 };
@@ -78,6 +78,9 @@ fn requests() {
     assert_request(Request::Memory(MemoryRequest::StoreSettings), &[11, 2]);
     let name = SensorName::try_from("ab").unwrap();
     assert_request(Request::Memory(MemoryRequest::WriteName(name)), &[11, 3, 2, b'a', b'b']);
+    assert_request(Request::Output(None), &[14, 0]);
+    assert_request(Request::Output(Some(Decimation::By128)), &[14, 1, 7]);
+    assert_request(Request::ChangeRate(2_000_000), &[15, 0x80, 0x89, 0x7A]);
 }
 
 /// Numbers chosen for their bytes, not for a sensor.
@@ -137,11 +140,12 @@ fn responses() {
         dropped_samples: 4,
         broken_frames: 5,
         kept: KeptCalibrations { current: KeptCalibration::Calibration(300), previous: Some(2) },
+        abandoned_streams: 6,
     };
     #[rustfmt::skip]
     let mut golden = vec![1, 8, 1, 2, 2, 0xB4, 0x24, 2, 6, 2, 1, 7];
     golden.extend_from_slice(&TRIAL_BYTES);
-    golden.extend_from_slice(&[0xC0, 0x84, 0x3D, 1, 2, 3, 4, 5, 6, 0xAC, 0x02, 1, 2]);
+    golden.extend_from_slice(&[0xC0, 0x84, 0x3D, 1, 2, 3, 4, 5, 6, 0xAC, 0x02, 1, 2, 6]);
     assert_response(Response::Status(status.clone()), &golden);
 
     let kept = KeptCalibrations { current: KeptCalibration::OtherFormat(9), previous: None };
@@ -149,7 +153,7 @@ fn responses() {
         Status { clock: ClockSource::Crystal, adc: AdcState::Running, calibration: None, kept, ..status };
     let mut golden = vec![1, 8, 0, 1, 2, 6, 2, 0];
     golden.extend_from_slice(&TRIAL_BYTES);
-    golden.extend_from_slice(&[0xC0, 0x84, 0x3D, 1, 2, 3, 4, 5, 3, 9, 0]);
+    golden.extend_from_slice(&[0xC0, 0x84, 0x3D, 1, 2, 3, 4, 5, 3, 9, 0, 6]);
     assert_response(Response::Status(running), &golden);
 
     let mut golden = vec![2];
@@ -197,6 +201,13 @@ fn what_is_kept() {
         let mut room = [0_u8; 8];
         assert_eq!(postcard::to_slice(&kept, &mut room).unwrap()[0], number);
     }
+}
+
+#[test]
+fn output() {
+    let output =
+        Output { data_rate: DataRate::Hz32000, decimation: Decimation::By4, group_delay_conversions: 300 };
+    assert_response(Response::Output(output), &[11, 7, 2, 0xAC, 0x02]);
 }
 
 #[test]
@@ -259,6 +270,11 @@ fn rejections() {
         Rejection::Uncalibrated,
         Rejection::NoSuchCalibration,
         Rejection::NotStored,
+        Rejection::NoSuchGage,
+        Rejection::GageNeeded,
+        Rejection::SelfTestRunning,
+        Rejection::UnusableLimit,
+        Rejection::UnsupportedRate,
     ];
     for (number, rejection) in (0_u8..).zip(order) {
         assert_response(Response::Rejected(rejection), &[6, number]);
@@ -335,6 +351,10 @@ fn stream_frames() {
     invalid(InvalidCause::Adc(AdcFault::Bus), &[2, 0]);
     invalid(InvalidCause::GainChanged, &[3]);
     invalid(InvalidCause::NonFinite, &[4]);
+    invalid(InvalidCause::OpenInput(0x81), &[5, 0x81, 0x01]);
+    invalid(InvalidCause::GagesContradict, &[6]);
+    invalid(InvalidCause::SelfTest, &[7]);
+    invalid(InvalidCause::Settling, &[8]);
 }
 
 #[test]

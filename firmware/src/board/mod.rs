@@ -2,7 +2,7 @@
 //!
 //! | pin | function | goes to |
 //! |---|---|---|
-//! | PA2 | USART2 TX, 921600 baud, 8N1 | host: RX of a USB serial adapter, 3.3 V |
+//! | PA2 | USART2 TX, 921600 baud until told otherwise, 8N1 | host: RX of a USB serial adapter, 3.3 V |
 //! | PA3 | USART2 RX | host: TX |
 //! | PB13 | SPI2 SCK, mode 1, 21 MHz | ADS131M08 SCLK |
 //! | PB14 | SPI2 MISO | ADS131M08 DOUT |
@@ -68,6 +68,8 @@ pub(crate) struct Board {
     pub(crate) clock: ClockSource,
     /// The host link.
     pub(crate) link: Link,
+    /// What the link's rates are divided from.
+    pub(crate) link_clock_hertz: u32,
     /// The converter's bus.
     pub(crate) converter: Converter,
     /// The converter's data-ready line.
@@ -112,7 +114,9 @@ pub(crate) fn set_up(device: Peripherals, mut systick: SYST, queues: LinkQueues)
     let (converter, data_ready) =
         carrier::connect(device.SPI2, device.USART3, gpiob, device.EXTI, device.SYSCFG, &mut rcc);
     start_ticking(systick, &rcc);
-    Board { clock, link, converter, data_ready, flash: Flash::new(device.FLASH), watchdog, start }
+    let link_clock_hertz = rcc.clocks.pclk1().raw();
+    let flash = Flash::new(device.FLASH);
+    Board { clock, link, link_clock_hertz, converter, data_ready, flash, watchdog, start }
 }
 
 /// An interrupt every 2 ms. (The emulator's processor clock is not the one that [`clocks`] finds, so there it comes ten times as

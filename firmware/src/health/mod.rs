@@ -78,6 +78,7 @@ pub struct Health<const GAGES: usize> {
     tare: Tare,
     /// Identity of the calibration that the tare is of.
     calibration: u32,
+    basis: u8,
     kept: KeptHealth,
 }
 
@@ -97,6 +98,7 @@ impl<const GAGES: usize> Health<GAGES> {
             loads: LoadWatch::new(),
             tare: Tare::new(),
             calibration: 0,
+            basis: 0,
             kept: KeptHealth::NONE,
         }
     }
@@ -121,6 +123,7 @@ impl<const GAGES: usize> Health<GAGES> {
     /// A calibration came into use, with its parity space: the gages are all in use, or all but one.
     pub fn watch(&mut self, space: ParitySpace<GAGES>, left_out: Option<u8>, rate: DataRate) {
         let all = u16::MAX >> (u16::BITS as usize - GAGES);
+        self.basis = self.basis.wrapping_add(1);
         self.left_out = left_out;
         self.in_use = left_out.map_or(all, |gage| all & !(1 << gage));
         self.parity = ParityMonitor::new(space, rate);
@@ -295,7 +298,14 @@ impl<const GAGES: usize> Health<GAGES> {
         self.tare_changed(store);
     }
 
+    /// A number that changes with whatever wrenches are made of: the calibration, the gages in use, the tare. Wrenches of different
+    /// numbers are not to be averaged.
+    pub const fn basis(&self) -> u8 {
+        self.basis
+    }
+
     fn tare_changed(&mut self, store: bool) {
+        self.basis = self.basis.wrapping_add(1);
         let report = self.tare.report();
         self.set(StatusBit::TareActive, report.wrench.is_some());
         if store {

@@ -8,7 +8,7 @@ use ftcal_shared::units::{AdcCode, DeviceTime, MAX_DOF, SampleIndex};
 use ftcal_shared::wire::{CodesFrame, GageList, InvalidCause, MAX_RUN, Run, ToHost, WrenchFrame};
 
 use super::{
-    Batcher, EAGER_PERIOD_MICROS, LONGEST_WAIT_MICROS, Measurement, Moment, SilentMoment, WrenchMoment,
+    Batcher, EAGER_PERIOD_NANOS, LONGEST_WAIT_MICROS, Measurement, Moment, SilentMoment, WrenchMoment,
 };
 
 fn wrench(index: u32) -> [f32; MAX_DOF] {
@@ -24,9 +24,10 @@ fn sample(index: u32, period_micros: u32) -> WrenchMoment {
         stride: 1,
         time,
         announced: time,
-        period_micros,
+        period_nanos: 1000 * period_micros,
         status: 0,
         parity: None,
+        basis: 0,
         measurement: Measurement::Valid { wrench: wrench(index), axes: 3, calibration: 7 },
     }
 }
@@ -144,7 +145,7 @@ fn runs_are_full_at_the_highest_rates_and_no_sample_waits_for_long_at_any() {
                 );
                 if period <= 250 {
                     assert_eq!(samples_of(frame), MAX_RUN);
-                } else if period >= EAGER_PERIOD_MICROS && line_is_idle {
+                } else if 1000 * period >= EAGER_PERIOD_NANOS && line_is_idle {
                     assert_eq!((samples_of(frame), frame.age_micros), (1, 0));
                 }
             }

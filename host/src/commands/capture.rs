@@ -107,6 +107,11 @@ fn take_all<Line: Transport>(
 fn why_silent<Line: Transport>(client: &mut Client<Line>) -> Failure {
     match client.wait_for_converter() {
         Err(error) => error.into(),
+        Ok(status) if status.stream == StreamKind::Off => anyhow!(
+            "the sensor has ended the stream, because it has heard nothing from this program for seconds\n\
+             Have the output read faster, or written to a file."
+        )
+        .into(),
         Ok(_) => anyhow!(
             "the sensor answers, but no sample came for {} s\nTry again; lower the data rate if it happens again.",
             SILENCE.as_secs()

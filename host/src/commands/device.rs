@@ -17,6 +17,9 @@ pub struct DeviceArgs {
     /// Serial port of the sensor; not needed where there is exactly one USB serial port
     #[arg(long, value_name = "PATH")]
     port: Option<String>,
+    /// Talk to the sensor at this baud rate, up to 2000000; it is 921600 otherwise
+    #[arg(long, value_name = "RATE")]
+    baud: Option<u32>,
 }
 
 impl DeviceArgs {
@@ -30,7 +33,11 @@ impl DeviceArgs {
             Some(path) => path.clone(),
             None => the_only(&available_ports()?)?,
         };
-        Ok(Client::connect(SerialTransport::open(&path)?)?)
+        let mut client = Client::connect(SerialTransport::open(&path)?)?;
+        if let Some(baud) = self.baud {
+            client.change_rate(baud)?;
+        }
+        Ok(client)
     }
 }
 

@@ -76,8 +76,8 @@ fn write_words(out: &mut dyn Write, hello: &Hello, status: &Status, identity: &I
     writeln!(out, "trial        {}", words::trial_status(&status.trial))?;
     writeln!(
         out,
-        "link         {} samples did not fit on the line, {} broken frames came from the host",
-        status.dropped_samples, status.broken_frames
+        "link         {} samples did not fit on the line, {} broken frames came from the host, {} streams were abandoned",
+        status.dropped_samples, status.broken_frames, status.abandoned_streams
     )
 }
 
@@ -167,6 +167,7 @@ struct Trial {
 struct Link {
     dropped_samples: u32,
     broken_frames: u32,
+    abandoned_streams: u32,
 }
 
 impl Info {
@@ -226,7 +227,11 @@ impl Info {
                 resumption: words::resumption(status.trial.resumption),
                 checkpointed: status.trial.checkpointed,
             },
-            link: Link { dropped_samples: status.dropped_samples, broken_frames: status.broken_frames },
+            link: Link {
+                dropped_samples: status.dropped_samples,
+                broken_frames: status.broken_frames,
+                abandoned_streams: status.abandoned_streams,
+            },
             status: names(health.live),
             last_reset: words::reset_cause(diagnosis.reset),
             failure: diagnosis.failure.as_ref().map(words::failure),

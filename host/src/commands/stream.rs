@@ -3,13 +3,15 @@
 use std::io::Write;
 use std::time::Duration;
 
+use anyhow::anyhow;
 use clap::Args;
-use ftcal_shared::units::Dof;
+use ftcal_shared::units::{DataRate, Decimation, Dof};
 use ftcal_shared::wire::StreamKind;
 
 use super::apply::column_name;
 use super::capture::{Amount, Place, capture};
 use super::device::DeviceArgs;
+use super::record::data_rate;
 use super::{Failure, Streams};
 use crate::link::client::Client;
 use crate::link::frame::{Frame, Measured, NoWrench};
@@ -24,6 +26,13 @@ pub struct Arguments {
     device: DeviceArgs,
     #[command(flatten)]
     amount: Amount,
+    /// Set the converter's rate first, conversions per second: 250, 500, 1000, 2000, 4000, 8000, 16000 or 32000
+    #[arg(long, value_name = "HZ", value_parser = data_rate)]
+    rate: Option<DataRate>,
+    /// Set the rate of the stream first, samples per second: the converter's rate, or it divided by 2, 4, 8 … 128, with what
+    /// would alias filtered out
+    #[arg(long, value_name = "HZ")]
+    output_rate: Option<u32>,
     /// Print no wrench that is older than this when it is printed, milliseconds, by the clock of this machine; the line's own
     /// delay is not in it
     #[arg(long, value_name = "MS")]
@@ -37,8 +46,39 @@ pub struct Arguments {
 /// [`Failure`].
 pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> {
     let mut client = arguments.device.connect()?;
+    if let Some(rate) = arguments.rate {
+        let gain = client.status()?.gain;
+        client.configure_adc(rate, gain)?;
+    }
+    if let Some(hertz) = arguments.output_rate {
+        set_output_rate(&mut client, hertz, streams.words)?;
+    }
     let oldest = arguments.max_age_ms.map_or(Duration::MAX, Duration::from_millis);
     stream(&mut client, arguments.amount, oldest, streams)
+}
+
+/// Has the sensor stream at this rate, and says what that means.
+fn set_output_rate<Line: Transport>(
+    client: &mut Client<Line>,
+    hertz: u32,
+    words: &mut dyn Write,
+) -> Result<(), Failure> {
+    let converted = client.output()?.data_rate.hertz();
+    let factor = converted.checked_div(hertz).filter(|factor| factor * hertz == converted);
+    let Some(decimation) = factor.and_then(Decimation::from_factor) else {
+        return Err(anyhow!(
+            "{hertz} samples/s cannot be made of the converter's {converted}/s\n\
+             Divide it by 1, 2, 4, 8, 16, 32, 64 or 128, or set another --rate."
+        )
+        .into());
+    };
+    let output = client.set_output(decimation)?;
+    let delay_ms = 1e3 * f64::from(output.group_delay_conversions) / f64::from(converted);
+    writeln!(
+        words,
+        "{hertz} samples/s of {converted} conversions/s; each sample bears the time that it is of, and comes {delay_ms} ms later"
+    )?;
+    Ok(())
 }
 
 /// Streams from a sensor.

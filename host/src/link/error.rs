@@ -80,6 +80,12 @@ pub enum LinkError {
     /// The response is of a kind that the request does not have.
     #[error("the sensor answered with something else than what was asked for")]
     UnexpectedResponse,
+    /// Nothing was heard at a new baud rate.
+    #[error("the line does not carry {baud} baud")]
+    RateDoesNotWork {
+        /// The rate.
+        baud: u32,
+    },
     /// A message does not fit into a frame.
     #[error("the message is too long for a frame")]
     TooLong,

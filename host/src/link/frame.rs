@@ -89,6 +89,8 @@ pub enum NoWrench {
     UnknownCalibration(u32),
     /// A component is not finite: the calibration's numbers are too large for these codes.
     NonFinite,
+    /// The filter before the sensor's decimation has not seen enough samples yet.
+    Settling,
     /// There is one, but it is older than it may be.
     Stale,
 }
@@ -141,6 +143,7 @@ impl From<InvalidCause> for NoWrench {
             InvalidCause::OpenInput(gages) => Self::OpenInput(gages),
             InvalidCause::GagesContradict => Self::GagesContradict,
             InvalidCause::SelfTest => Self::SelfTest,
+            InvalidCause::Settling => Self::Settling,
         }
     }
 }

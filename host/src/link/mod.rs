@@ -4,7 +4,8 @@
 //! |---|---|
 //! | [`transport`] | what a line is: bytes out, bytes in, a clock |
 //! | [`serial`] | a serial port or pseudo-terminal as a line |
-//! | [`client`] | requests with their responses, and the stream between them |
+//! | [`client`] | what a sensor can be asked |
+//! | `conversation` | requests with their responses, whatever is lost, and the stream between them |
 //! | [`frame`] | samples as the host sees them: a wrench that is not there cannot be read as a number |
 //! | [`continuity`] | what is missing between samples |
 //! | [`error`] | what can go wrong, the link's troubles apart from the sensor's own |
@@ -14,6 +15,7 @@
 
 pub mod client;
 pub mod continuity;
+mod conversation;
 pub mod error;
 pub mod frame;
 pub mod health_words;

@@ -108,6 +108,9 @@ const fn of_rejection(rejection: Rejection) -> (&'static str, &'static str) {
         Rejection::UnusableLimit => {
             ("unusable-limit", "Check the numbers; the sensor keeps those that it had.")
         }
+        Rejection::UnsupportedRate => {
+            ("unsupported-rate", "Leave --baud away, or name another rate: 2000000 and 1000000 are exact.")
+        }
     }
 }
 
@@ -115,6 +118,12 @@ const fn of_link(error: &LinkError) -> (&'static str, &'static str) {
     match error {
         LinkError::Line(TransportError::Vanished) => {
             ("port-vanished", "Plug the sensor in again, or start `ftcal sim` again.")
+        }
+        LinkError::Line(TransportError::NoSuchRate { .. }) => {
+            ("no-such-rate", "Leave --baud away, or name a rate that this machine's serial port has.")
+        }
+        LinkError::RateDoesNotWork { .. } => {
+            ("rate-does-not-work", "Leave --baud away, or use a shorter cable or another serial adapter.")
         }
         LinkError::Line(_) => ("port-failed", "Unplug the sensor, plug it in again, and try again."),
         LinkError::Silence { .. } => (

@@ -13,13 +13,11 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use ftcal_firmware::baud::DEFAULT_BAUD;
 use serialport::SerialPort;
 use thiserror::Error;
 
 use super::transport::{Transport, TransportError};
-
-/// Symbols a second on the sensor's serial port. A pseudo-terminal takes any.
-pub const BAUD_RATE: u32 = 921_600;
 
 /// How long one read of the reader thread is meant to last, and one write at most.
 const PORT_TIMEOUT: Duration = Duration::from_millis(50);
@@ -87,14 +85,14 @@ pub struct SerialTransport {
 }
 
 impl SerialTransport {
-    /// Opens this port at [`BAUD_RATE`] and throws away what it received before. Nobody else can open it meanwhile.
+    /// Opens this port at [`DEFAULT_BAUD`] and throws away what it received before. Nobody else can open it meanwhile.
     ///
     /// # Errors
     ///
     /// [`OpenError`].
     pub fn open(path: &str) -> Result<Self, OpenError> {
         let cannot_open = |cause| OpenError::new(path, cause);
-        let builder = serialport::new(path, BAUD_RATE).timeout(PORT_TIMEOUT);
+        let builder = serialport::new(path, DEFAULT_BAUD).timeout(PORT_TIMEOUT);
         let port = open_locked(&builder).map_err(cannot_open)?;
         port.clear(serialport::ClearBuffer::Input).map_err(cannot_open)?;
         Self::over(port).map_err(cannot_open)
@@ -188,6 +186,10 @@ impl Transport for SerialTransport {
 
     fn elapsed(&self) -> Duration {
         self.opened.elapsed()
+    }
+
+    fn set_baud(&mut self, baud: u32) -> Result<(), TransportError> {
+        self.port.set_baud_rate(baud).map_err(|_| TransportError::NoSuchRate { baud })
     }
 }
 

@@ -27,6 +27,13 @@ pub trait Transport {
 
     /// Time on this line's own clock, which never goes backwards.
     fn elapsed(&self) -> Duration;
+
+    /// Changes the baud rate of this end. A line that has none, as a pseudo-terminal has not, carries all.
+    ///
+    /// # Errors
+    ///
+    /// [`TransportError::NoSuchRate`]; the rate is then as it was.
+    fn set_baud(&mut self, baud: u32) -> Result<(), TransportError>;
 }
 
 /// Why a line carries nothing any more.
@@ -38,6 +45,12 @@ pub enum TransportError {
     /// The other end takes no bytes.
     #[error("the port does not take the bytes that are to be sent")]
     Stalled,
+    /// The port cannot be set to a baud rate.
+    #[error("the port cannot be set to {baud} baud")]
+    NoSuchRate {
+        /// The rate.
+        baud: u32,
+    },
     /// The operating system reports something else.
     #[error("the port failed")]
     Failed(#[source] io::Error),
@@ -54,5 +67,9 @@ impl<T: Transport + ?Sized> Transport for Box<T> {
 
     fn elapsed(&self) -> Duration {
         (**self).elapsed()
+    }
+
+    fn set_baud(&mut self, baud: u32) -> Result<(), TransportError> {
+        (**self).set_baud(baud)
     }
 }

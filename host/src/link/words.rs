@@ -57,6 +57,7 @@ pub const fn rejection(rejection: Rejection) -> &'static str {
             "a number of the calibration is not finite or beyond the converter's range"
         }
         Rejection::WrongIdentity => "the calibration's checksum does not match its numbers",
+        Rejection::UnsupportedRate => "its clock cannot be divided to this baud rate",
         Rejection::Measuring => {
             "it streams samples or runs a trial, which writing to its memory would hold up"
         }
@@ -122,6 +123,7 @@ pub fn no_wrench(cause: NoWrench) -> String {
         NoWrench::NonFinite => {
             "the calibration's numbers are too large for these codes; calibrate again".into()
         }
+        NoWrench::Settling => "the filter before the lower output rate has yet to fill".into(),
         NoWrench::Stale => "it came too late; this machine or the line is too slow for the stream".into(),
     }
 }

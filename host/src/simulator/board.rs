@@ -6,8 +6,8 @@
 //! ```
 //!
 //! It does what the real board does, in virtual time: one conversion after the other, a tick every few milliseconds, a
-//! serial line of [`BAUD_RATE`] with a buffer before it. A sample of the stream that finds its queue full is dropped and
-//! counted, as on the board; a response always finds room. A trial is solved, and the memory written, between two
+//! serial line with a rate that can be changed and a buffer before it. A sample of the stream that finds its queue full is
+//! dropped and counted, as on the board; a response always finds room. A trial is solved, and the memory written, between two
 //! conversions; neither takes virtual time.
 //!
 //! Everything follows from the bench and from what is received when: the same calls give the same bytes.
@@ -16,8 +16,9 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use embedded_hal::delay::DelayNs;
+use ftcal_firmware::baud::{DEFAULT_BAUD, divisor};
 use ftcal_firmware::sensor::{LinkCounters, Reaction, Sensor};
-use ftcal_firmware::session::{Session, hello};
+use ftcal_firmware::session::{Order, Session};
 use ftcal_firmware::storage::job::StoreJob;
 use ftcal_firmware::storage::keeper::Keeper;
 use ftcal_firmware::stream::{Batcher, Moment};
@@ -25,18 +26,18 @@ use ftcal_firmware::trial::SolveJob;
 use ftcal_shared::estimation::bins::Bins;
 use ftcal_shared::estimation::moments::higher_moment_count;
 use ftcal_shared::units::DeviceTime;
-use ftcal_shared::wire::frame::{MAX_FRAME, encode};
+use ftcal_shared::wire::frame::MAX_FRAME;
 use ftcal_shared::wire::{
-    ClockSource, Diagnosis, Request, RequestId, ResetCause, Response, ToDevice, ToHost,
+    ClockSource, Diagnosis, Rejection, Request, RequestId, ResetCause, Response, ToHost,
 };
 use thiserror::Error;
 
 use super::bench::Bench;
 use super::bus::SharedBench;
 use super::flash::SimulatedFlash;
+use super::line::Line;
 use super::scenario::Scenario;
 use super::sensor::SoftwareSensor;
-use crate::link::serial::BAUD_RATE;
 use crate::link::transport::{Transport, TransportError};
 
 /// Time between two ticks.
@@ -45,8 +46,10 @@ const TICK_MICROS: u64 = 5_000;
 const LINE_BUFFER: usize = 768;
 /// Samples of the stream that wait at most.
 const MOMENT_QUEUE: usize = 32;
-/// Bits on the line for each byte: a start bit, eight of data, a stop bit.
-const BITS_PER_BYTE: u64 = 10;
+/// What the simulated serial port divides its rates from, as on the real board.
+const LINE_CLOCK_HERTZ: u32 = 42_000_000;
+/// What a byte becomes at the wrong rate, at either end, whatever it was.
+const GARBLED: u8 = 0xE0;
 
 /// What a simulated board knows of itself: it never fails, and its stack is that of the simulator.
 const DIAGNOSIS: Diagnosis =
@@ -65,6 +68,9 @@ pub trait Board: Send {
 
     /// Virtual time since the board was switched on.
     fn now(&self) -> DeviceTime;
+
+    /// The rate of the board's serial port.
+    fn baud(&self) -> u32;
 }
 
 /// Why a sensor cannot be put on a board.
@@ -79,6 +85,8 @@ pub struct UnsupportedGages {
 pub struct SimulatedBoard {
     board: Box<dyn Board>,
     bench: SharedBench,
+    /// The rate at the host's end.
+    baud: u32,
 }
 
 impl SimulatedBoard {
@@ -122,7 +130,7 @@ impl SimulatedBoard {
             8 => Box::new(GageBoard::<8, { higher_moment_count(8) }>::new(bench.clone(), flash)),
             _ => return Err(UnsupportedGages { gages }),
         };
-        Ok(Self { board, bench })
+        Ok(Self { board, bench, baud: DEFAULT_BAUD })
     }
 
     /// The bench under the board: to hang loads, turn the sensor and play faults while a client talks to the board.
@@ -139,7 +147,11 @@ impl SimulatedBoard {
 /// The line of a simulated board: waiting for bytes is what makes its time pass.
 impl Transport for SimulatedBoard {
     fn write(&mut self, bytes: &[u8]) -> Result<(), TransportError> {
-        self.board.receive(bytes);
+        if self.baud == self.board.baud() {
+            self.board.receive(bytes);
+        } else {
+            self.board.receive(&vec![GARBLED; bytes.len()]);
+        }
         Ok(())
     }
 
@@ -147,6 +159,9 @@ impl Transport for SimulatedBoard {
         let before = received.len();
         loop {
             self.board.take_sent(received);
+            if self.baud != self.board.baud() {
+                received.iter_mut().skip(before).for_each(|byte| *byte = GARBLED);
+            }
             if received.len() > before || self.elapsed() >= deadline {
                 return Ok(());
             }
@@ -156,6 +171,11 @@ impl Transport for SimulatedBoard {
 
     fn elapsed(&self) -> Duration {
         Duration::from_micros(self.board.now().as_micros())
+    }
+
+    fn set_baud(&mut self, baud: u32) -> Result<(), TransportError> {
+        self.baud = baud;
+        Ok(())
     }
 }
 
@@ -194,14 +214,41 @@ impl<const GAGES: usize, const HIGHER: usize> GageBoard<GAGES, HIGHER> {
             moments: VecDeque::new(),
             dropped_samples: 0,
             batcher: Batcher::new(),
-            line: Line::default(),
+            line: Line::new(),
         }
     }
 
-    fn on_message(&mut self, message: ToDevice) {
-        match message {
-            ToDevice::Hello => self.line.send(&ToHost::Hello(hello())),
-            ToDevice::Request(id, request) => self.on_request(id, request),
+    fn on_order(&mut self, order: Order) {
+        match order {
+            Order::Send(message) => self.line.send(&message),
+            Order::Serve(id, request) => self.on_request(id, request),
+            Order::ChangeRate(id, baud) if divisor(LINE_CLOCK_HERTZ, baud).is_some() => {
+                self.respond(id, Response::Done);
+                self.change_rate(baud);
+            }
+            Order::ChangeRate(id, _) => self.respond(id, Response::Rejected(Rejection::UnsupportedRate)),
+        }
+    }
+
+    fn respond(&mut self, id: RequestId, response: Response) {
+        self.session.answered(id, &response);
+        self.line.send(&ToHost::Response(id, response));
+    }
+
+    /// Changes the line's rate when all that waits has left.
+    fn change_rate(&mut self, baud: u32) {
+        self.line.change_rate(baud);
+        self.session.rate_changed(baud, self.now());
+    }
+
+    /// Ends what a host that has gone has left running.
+    fn watch_host(&mut self, now: DeviceTime) {
+        let silence = self.session.watch(now);
+        if silence.end_stream {
+            self.sensor.abandon_stream();
+        }
+        if silence.fall_back {
+            self.change_rate(DEFAULT_BAUD);
         }
     }
 
@@ -216,9 +263,9 @@ impl<const GAGES: usize, const HIGHER: usize> GageBoard<GAGES, HIGHER> {
             self.batcher.clear();
         }
         match self.sensor.answer(request, self.now(), counters) {
-            Reaction::Respond(response) => self.line.send(&ToHost::Response(id, response)),
+            Reaction::Respond(response) => self.respond(id, response),
             Reaction::Solve(job) => self.solving = Some((id, job)),
-            Reaction::Diagnose => self.line.send(&ToHost::Response(id, Response::Diagnosis(DIAGNOSIS))),
+            Reaction::Diagnose => self.respond(id, Response::Diagnosis(DIAGNOSIS)),
             Reaction::Store(job) => self.storing = Some((id, job)),
         }
     }
@@ -235,8 +282,8 @@ impl<const GAGES: usize, const HIGHER: usize> GageBoard<GAGES, HIGHER> {
     /// Puts what of the stream is due into the line's buffer, as far as there is room.
     fn feed_line(&mut self) {
         let now = self.now();
-        while self.line.waiting.len() + MAX_FRAME <= LINE_BUFFER {
-            let line_is_idle = self.line.waiting.is_empty();
+        while !self.line.is_changing_rate() && self.line.waiting() + MAX_FRAME <= LINE_BUFFER {
+            let line_is_idle = self.line.waiting() == 0;
             let due = self.batcher.next(now, line_is_idle, || self.moments.pop_front());
             let Some(message) = due else { return };
             self.line.send(&message);
@@ -246,9 +293,10 @@ impl<const GAGES: usize, const HIGHER: usize> GageBoard<GAGES, HIGHER> {
 
 impl<const GAGES: usize, const HIGHER: usize> Board for GageBoard<GAGES, HIGHER> {
     fn receive(&mut self, bytes: &[u8]) {
+        let now = self.now();
         for &byte in bytes {
-            if let Some(message) = self.session.on_byte(byte) {
-                self.on_message(message);
+            if let Some(order) = self.session.on_byte(byte, now) {
+                self.on_order(order);
             }
         }
     }
@@ -259,15 +307,16 @@ impl<const GAGES: usize, const HIGHER: usize> Board for GageBoard<GAGES, HIGHER>
             self.next_tick = DeviceTime::from_micros(now.as_micros() + TICK_MICROS);
             let moment = self.sensor.tick(now, &mut VirtualDelay { bench: &self.bench });
             self.stream(moment);
+            self.watch_host(now);
         }
         if let Some((id, mut job)) = self.solving.take() {
             let response = job.response();
             self.sensor.finish_solving(job);
-            self.line.send(&ToHost::Response(id, response));
+            self.respond(id, response);
         }
         if let Some((id, job)) = self.storing.take() {
             let response = self.sensor.finish_storing(self.keeper.run(&job));
-            self.line.send(&ToHost::Response(id, response));
+            self.respond(id, response);
         }
         self.keeper.attend(self.now(), &mut self.sensor);
         let announced = self.bench.with(Bench::next_conversion);
@@ -281,41 +330,15 @@ impl<const GAGES: usize, const HIGHER: usize> Board for GageBoard<GAGES, HIGHER>
     }
 
     fn take_sent(&mut self, sent: &mut Vec<u8>) {
-        sent.append(&mut self.line.carried);
+        self.line.take_carried(sent);
     }
 
     fn now(&self) -> DeviceTime {
         self.bench.with(|bench| bench.now())
     }
-}
 
-/// The serial line towards the host: bytes leave the buffer at the line's speed.
-#[derive(Default)]
-struct Line {
-    waiting: VecDeque<u8>,
-    carried: Vec<u8>,
-    carried_until: DeviceTime,
-    /// What the line could have carried beyond whole bytes, in bit times of a million microseconds.
-    remainder: u64,
-}
-
-impl Line {
-    fn send(&mut self, message: &ToHost) {
-        // Every message of the protocol fits into a frame, which the golden bytes of the largest ones attest.
-        if let Ok(bytes) = encode(message) {
-            self.waiting.extend(bytes);
-        }
-    }
-
-    fn carry_until(&mut self, now: DeviceTime) {
-        let micros = now.as_micros().saturating_sub(self.carried_until.as_micros());
-        self.carried_until = now;
-        // Microseconds times bits a second: a byte takes ten million of these.
-        let per_byte = BITS_PER_BYTE * 1_000_000;
-        let capacity = micros * u64::from(BAUD_RATE) + self.remainder;
-        let bytes = usize::try_from(capacity / per_byte).unwrap_or(usize::MAX).min(self.waiting.len());
-        self.remainder = if self.waiting.len() > bytes { capacity % per_byte } else { 0 };
-        self.carried.extend(self.waiting.drain(..bytes));
+    fn baud(&self) -> u32 {
+        self.line.baud()
     }
 }
 
@@ -336,80 +359,4 @@ impl DelayNs for VirtualDelay<'_> {
 }
 
 #[cfg(test)]
-mod tests {
-    use std::time::Duration;
-
-    use ftcal_shared::units::{DataRate, Dof, Gain};
-    use ftcal_shared::wire::StreamKind;
-    use nalgebra::{DMatrix, DVector};
-
-    use super::{Bench, LINE_BUFFER, MOMENT_QUEUE, SimulatedBoard, UnsupportedGages};
-    use crate::link::client::Client;
-    use crate::link::serial::BAUD_RATE;
-    use crate::link::transport::Transport;
-    use crate::simulator::scenario::{Scenario, ScenarioKind};
-    use crate::simulator::sensor::SoftwareSensor;
-
-    fn board(kind: ScenarioKind) -> SimulatedBoard {
-        SimulatedBoard::for_scenario(&Scenario::new(kind, 7).expect("sizes fit"), 7).expect("sizes fit")
-    }
-
-    #[test]
-    fn the_same_calls_give_the_same_frames() {
-        let run = || {
-            let board = board(ScenarioKind::Wrist);
-            board.bench().with(Bench::turn);
-            let mut client = Client::connect(board).expect("answers");
-            client.wait_for_converter().expect("the converter starts");
-            client.stream(StreamKind::Codes).expect("answers");
-            let next = |_| client.next_frame(Duration::from_secs(1)).expect("the line is sound");
-            (0..500).map(next).collect::<Vec<_>>()
-        };
-        assert_eq!(run(), run());
-    }
-
-    #[test]
-    fn what_does_not_fit_on_the_line_is_dropped_and_counted_and_responses_get_through() {
-        let mut client = Client::connect(board(ScenarioKind::Wrist)).expect("answers");
-        client.configure_adc(DataRate::Hz32000, Gain::X128).expect("the converter starts");
-        client.stream(StreamKind::Codes).expect("answers");
-        let before = client.status().expect("answers");
-        let lost_before = client.lost_samples();
-        let mut streamed = 0_u32;
-        let begin = client.line().elapsed();
-        while client.line().elapsed() < begin + Duration::from_secs(1) {
-            streamed +=
-                u32::from(client.next_frame(Duration::from_secs(1)).expect("the line is sound").is_some());
-        }
-        let status = client.status().expect("answers");
-        let dropped = status.dropped_samples - before.dropped_samples;
-        let converted = status.conversions - before.conversions;
-        // A frame of eight codes has 30 bytes at least, so the line cannot carry more than these.
-        let waiting = u32::try_from(LINE_BUFFER / 30 + MOMENT_QUEUE).expect("fits");
-        let room = BAUD_RATE / 10 / 30 + waiting;
-        assert!(streamed <= room, "{streamed}");
-        // What was neither streamed nor dropped was waiting at either end of the second.
-        assert!(converted.abs_diff(streamed + dropped) <= 2 * waiting, "{converted} {streamed} {dropped}");
-        // The host has noticed what it did not get, but for what is missing between the samples that are waiting.
-        let lost = client.lost_samples() - lost_before;
-        let unnoticed = 2 * waiting * converted.div_ceil(streamed);
-        assert!(lost.abs_diff(u64::from(dropped)) <= u64::from(unnoticed), "{lost} {dropped}");
-    }
-
-    #[test]
-    fn a_board_has_two_to_eight_gages() {
-        for gages in 1..=8 {
-            let shape = DMatrix::from_element(2, gages, 1.0);
-            let zeros = DVector::zeros(gages);
-            let sensor =
-                SoftwareSensor::new(Dof::PlanarForce, shape, zeros.clone(), zeros).expect("sizes fit");
-            match SimulatedBoard::new(sensor, 1) {
-                Ok(board) => {
-                    let mut client = Client::connect(board).expect("answers");
-                    assert_eq!(usize::from(client.status().expect("answers").gages), gages);
-                }
-                Err(error) => assert_eq!((error, gages), (UnsupportedGages { gages: 1 }, 1)),
-            }
-        }
-    }
-}
+mod tests;

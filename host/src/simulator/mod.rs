@@ -16,6 +16,7 @@
 //! | [`bus`] | the bench as a driver sees it: an SPI device |
 //! | [`board`] | the firmware's application on top of the bench |
 //! | [`flash`] | what the board keeps across a reset, in a file if need be |
+//! | `line` | the serial line between that board and the host |
 //! | [`tunnel`] | the bench and the flash as the emulator's |
 //! | [`emulator`] | the firmware's image in QEMU |
 //! | [`operator`] | somebody who hangs loads, turns the sensor and plays faults on demand |
@@ -32,6 +33,7 @@ pub mod bus;
 pub mod emulator;
 pub mod fault;
 pub mod flash;
+mod line;
 pub mod motion;
 pub mod operator;
 #[cfg(unix)]

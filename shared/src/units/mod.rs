@@ -4,11 +4,13 @@
 
 mod code;
 mod converter;
+mod decimation;
 mod dof;
 mod time;
 
 pub use code::AdcCode;
 pub use converter::{DataRate, Gain};
+pub use decimation::Decimation;
 pub use dof::{Axis, Dof};
 pub use time::{DeviceTime, SampleIndex};
 

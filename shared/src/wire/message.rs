@@ -5,10 +5,10 @@ use serde::{Deserialize, Serialize};
 use super::diagnosis::Diagnosis;
 use super::health_message::{HealthRequest, HealthResponse};
 use super::memory::{Identity, MemoryRequest};
-use super::report::{CodesFrame, Coverage, Solution, Status, TrialStatus};
+use super::report::{CodesFrame, Coverage, Output, Solution, Status, TrialStatus};
 use super::wrench::WrenchFrame;
 use crate::refusal::Refusal;
-use crate::units::{DataRate, Dof, Gain, MAX_DOF, MAX_GAGES};
+use crate::units::{DataRate, Decimation, Dof, Gain, MAX_DOF, MAX_GAGES};
 
 /// The version of every message but the greeting.
 pub const PROTOCOL_VERSION: u16 = 2;
@@ -62,7 +62,7 @@ pub enum Request {
     Status,
     /// Sample at this rate and gain from now on. Refused while a trial runs.
     ConfigureAdc(DataRate, Gain),
-    /// Send samples as they come, or stop sending them.
+    /// Send samples as they come, or stop sending them. They stop by themselves where the host says nothing for five seconds.
     Stream(StreamKind),
     /// Start a trial of this proper rank (2 or 3); the sums of the trial before are dropped.
     StartTrial {
@@ -90,6 +90,12 @@ pub enum Request {
     Diagnosis,
     /// About the sensor's health. Answered by [`Response::Health`].
     Health(HealthRequest),
+    /// At which rate do wrenches go out? With `Some`, they do so at the converter's rate by this from now on. Answered by
+    /// [`Response::Output`].
+    Output(Option<Decimation>),
+    /// Change to this baud rate, once the response has left. The sensor goes back to the rate before where it hears nothing at
+    /// the new one for a second.
+    ChangeRate(u32),
 }
 
 /// What the sensor sends unasked.
@@ -130,6 +136,8 @@ pub enum Response {
     Diagnosis(Diagnosis),
     /// About the sensor's health.
     Health(HealthResponse),
+    /// At which rate wrenches go out.
+    Output(Output),
 }
 
 /// Why a request is not served.
@@ -166,6 +174,8 @@ pub enum Rejection {
     SelfTestRunning,
     /// A limit is negative or no number, a threshold's hysteresis is larger than its level, or a tare is of no sample.
     UnusableLimit,
+    /// The board's clock cannot be divided to this baud rate.
+    UnsupportedRate,
 }
 
 /// A calibration in the sensor's own form.

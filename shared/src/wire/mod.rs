@@ -33,7 +33,7 @@ pub use message::{
     StreamKind, ToDevice, ToHost,
 };
 pub use report::{
-    AdcState, ClockSource, CodesFrame, Coverage, GageTarget, InvalidCause, Resumption, Solution, Status,
-    TrialPhase, TrialStatus,
+    AdcState, ClockSource, CodesFrame, Coverage, GageTarget, InvalidCause, Output, Resumption, Solution,
+    Status, TrialPhase, TrialStatus,
 };
 pub use wrench::{MAX_RUN, PackedWrenches, Run, WrenchFrame};

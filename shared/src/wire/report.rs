@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::memory::KeptCalibrations;
 use super::message::{GageList, StreamKind};
 use crate::fault::AdcFault;
-use crate::units::{AdcCode, DataRate, DeviceTime, Gain, MAX_GAGES, SampleIndex};
+use crate::units::{AdcCode, DataRate, Decimation, DeviceTime, Gain, MAX_GAGES, SampleIndex};
 
 /// State of the sensor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -40,6 +40,20 @@ pub struct Status {
     pub broken_frames: u32,
     /// The calibrations that survive a reset.
     pub kept: KeptCalibrations,
+    /// Streams that were ended because the host said nothing any more.
+    pub abandoned_streams: u32,
+}
+
+/// At which rate wrenches go out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Output {
+    /// Conversions a second.
+    pub data_rate: DataRate,
+    /// How many of them make one sample of the stream.
+    pub decimation: Decimation,
+    /// How long the filter before the decimation delays every frequency: exactly this many conversions. It is in the samples'
+    /// times already: each bears the time that it is of.
+    pub group_delay_conversions: u16,
 }
 
 /// Where the processor's clock comes from.
@@ -202,4 +216,6 @@ pub enum InvalidCause {
     GagesContradict,
     /// Faults are being played.
     SelfTest,
+    /// The filter before the decimation has not seen enough samples yet: since the start, a gap, or another calibration.
+    Settling,
 }

@@ -81,10 +81,10 @@ impl<Line: Transport> Client<Line> {
     ///
     /// [`ClientError`].
     pub fn set_tare(&mut self, samples: u16, store: bool) -> Result<TareReport, ClientError> {
-        let begin = self.line.elapsed();
+        let begin = self.line().elapsed();
         let mut report = self.request_tare(HealthRequest::SetTare { samples, store })?;
         while matches!(report.phase, TarePhase::Averaging { .. }) {
-            if self.line.elapsed().saturating_sub(begin) > TARE {
+            if self.line().elapsed().saturating_sub(begin) > TARE {
                 return Err(LinkError::UnexpectedResponse.into());
             }
             self.wait(POLL)?;
@@ -109,10 +109,10 @@ impl<Line: Transport> Client<Line> {
     ///
     /// [`ClientError`].
     pub fn self_test(&mut self) -> Result<SelfTestReport, ClientError> {
-        let begin = self.line.elapsed();
+        let begin = self.line().elapsed();
         let mut report = self.request_self_test(HealthRequest::StartSelfTest)?;
         while report.phase == SelfTestPhase::Running {
-            if self.line.elapsed().saturating_sub(begin) > SELF_TEST {
+            if self.line().elapsed().saturating_sub(begin) > SELF_TEST {
                 return Err(LinkError::UnexpectedResponse.into());
             }
             self.wait(POLL)?;
@@ -150,7 +150,7 @@ impl<Line: Transport> Client<Line> {
     }
 
     fn request_health(&mut self, request: HealthRequest) -> Result<HealthResponse, ClientError> {
-        match self.request(Request::Health(request), ANSWER)? {
+        match self.conversation.request(Request::Health(request), ANSWER)? {
             Response::Health(response) => Ok(response),
             _ => Err(LinkError::UnexpectedResponse.into()),
         }

@@ -68,7 +68,7 @@ impl<Line: Transport> Client<Line> {
     ///
     /// [`ClientError`].
     pub fn identity(&mut self) -> Result<Identity, ClientError> {
-        match self.request(Request::ReadIdentity, ANSWER)? {
+        match self.conversation.request(Request::ReadIdentity, ANSWER)? {
             Response::Identity(identity) => Ok(identity),
             _ => Err(LinkError::UnexpectedResponse.into()),
         }

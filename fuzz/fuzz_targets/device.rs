@@ -1,0 +1,114 @@
+//! Whatever comes over the line, the sensor goes on: it panics nowhere, what it sends is whole, and a greeting is answered.
+#![no_main]
+
+mod framed;
+
+use embedded_hal::delay::DelayNs;
+use embedded_hal::spi::{ErrorKind, ErrorType, Operation, SpiDevice};
+use ftcal_firmware::sensor::{LinkCounters, Reaction, Sensor};
+use ftcal_firmware::session::{Order, Session};
+use ftcal_firmware::storage::job::{StoreJob, Stored};
+use ftcal_firmware::storage::memory::StorageError;
+use ftcal_firmware::stream::Batcher;
+use ftcal_shared::estimation::bins::Bins;
+use ftcal_shared::estimation::moments::higher_moment_count;
+use ftcal_shared::units::DeviceTime;
+use ftcal_shared::wire::frame::encode;
+use ftcal_shared::wire::{ClockSource, RequestId, Response, ToDevice, ToHost};
+use libfuzzer_sys::fuzz_target;
+
+const GAGES: usize = 4;
+const HIGHER: usize = higher_moment_count(GAGES);
+
+/// A bus with nothing on it.
+struct EmptyBus;
+
+impl ErrorType for EmptyBus {
+    type Error = ErrorKind;
+}
+
+impl SpiDevice for EmptyBus {
+    fn transaction(&mut self, _operations: &mut [Operation<'_, u8>]) -> Result<(), ErrorKind> {
+        Err(ErrorKind::Other)
+    }
+}
+
+struct NoDelay;
+
+impl DelayNs for NoDelay {
+    fn delay_ns(&mut self, _nanoseconds: u32) {}
+}
+
+struct Board {
+    sensor: Sensor<EmptyBus, Box<Bins<GAGES, HIGHER>>, GAGES, HIGHER>,
+    session: Session,
+    batcher: Batcher,
+    now: DeviceTime,
+}
+
+impl Board {
+    fn new() -> Self {
+        Self {
+            sensor: Sensor::new(EmptyBus, Box::new(Bins::new()), ClockSource::Simulated),
+            session: Session::new(),
+            batcher: Batcher::new(),
+            now: DeviceTime::default(),
+        }
+    }
+
+    /// What the board sends about this byte.
+    fn receive(&mut self, byte: u8) -> Option<ToHost> {
+        let response = |session: &mut Session, id: RequestId, response: Response| {
+            session.answered(id, &response);
+            Some(ToHost::Response(id, response))
+        };
+        match self.session.on_byte(byte, self.now)? {
+            Order::Send(message) => Some(message),
+            Order::ChangeRate(id, baud) => {
+                self.session.rate_changed(baud, self.now);
+                response(&mut self.session, id, Response::Done)
+            }
+            Order::Serve(id, request) => match self.sensor.answer(request, self.now, LinkCounters::default())
+            {
+                Reaction::Respond(answer) => response(&mut self.session, id, answer),
+                Reaction::Diagnose => response(&mut self.session, id, Response::Done),
+                Reaction::Store(job) => {
+                    // This sensor's memory is defective; a trial needs none.
+                    let stored = match job {
+                        StoreJob::PrepareTrial { rank, .. } => Stored::Prepared { rank },
+                        _ => Stored::Failed(StorageError::Flash),
+                    };
+                    let answer = self.sensor.finish_storing(stored);
+                    response(&mut self.session, id, answer)
+                }
+                Reaction::Solve(mut job) => {
+                    let answer = job.response();
+                    self.sensor.finish_solving(job);
+                    response(&mut self.session, id, answer)
+                }
+            },
+        }
+    }
+
+    fn live(&mut self, micros: u64) -> Option<ToHost> {
+        self.now = DeviceTime::from_micros(self.now.as_micros() + micros);
+        let mut moment = self.sensor.tick(self.now, &mut NoDelay);
+        if self.session.watch(self.now).end_stream {
+            self.sensor.abandon_stream();
+        }
+        self.batcher.next(self.now, true, || moment.take())
+    }
+}
+
+fuzz_target!(|input: &[u8]| {
+    let mut board = Board::new();
+    let whole = |message: ToHost| assert!(encode(&message).is_ok(), "{message:?} does not fit into a frame");
+    for (kind, bytes) in framed::pieces(input) {
+        bytes.iter().filter_map(|&byte| board.receive(byte)).for_each(whole);
+        // Up to a second and a half passes before the next.
+        board.live(u64::from(kind >> 3) * 50_000).into_iter().for_each(whole);
+    }
+    let greeting = encode(&ToDevice::Hello).expect("it is short");
+    let answers: Vec<_> = [0].iter().chain(&greeting).filter_map(|&byte| board.receive(byte)).collect();
+    assert!(matches!(answers.last(), Some(ToHost::Hello(_))), "{answers:?}");
+});
