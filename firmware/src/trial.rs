@@ -426,10 +426,12 @@ fn coverage_on_the_wire<const GAGES: usize, const RANK: usize>(
         worst_relative_uncertainty: covered.worst_relative_uncertainty as f32,
         targets: covered.targets.iter().map(target).collect(),
         bias_deviation_counts: covered.bias_deviation_counts.iter().map(|&counts| counts as f32).collect(),
+        // Row by row; nalgebra stores column by column.
         shape_deviation_counts_per_load: covered
             .shape_deviation_counts_per_load
-            .row_iter()
-            .flat_map(|row| row.iter().map(|&counts| counts as f32).collect::<GageList<f32>>())
+            .transpose()
+            .iter()
+            .map(|&counts| counts as f32)
             .collect(),
     }
 }

@@ -20,11 +20,11 @@
 //! Local gravity is in sₖ, too. At the place where the sensor was calibrated it cancels: C is too large in the same ratio as m·g. It is
 //! taken out here, and who measures elsewhere adds it again ([`gravity_deviation`]).
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DVector;
 
 use super::Calibration;
 use super::joint::uncertainty::Uncertainty;
-use super::known_load::squashing_matrix;
+use super::known_load::mean_square_load;
 
 /// The full load: the root mean square of the trials' weights, newton; `None` of no trial.
 pub fn full_load_n(calibration: &Calibration) -> Option<f64> {
@@ -80,16 +80,11 @@ fn group_deviation(
 
 /// The mean square of each component of the trials' loads, over all directions: newton² and (newton metre)².
 fn mean_square_loads(calibration: &Calibration) -> DVector<f64> {
-    let rank = calibration.dof.trial_rank();
-    let mut loads = DVector::zeros(calibration.dof.count());
-    for trial in &calibration.trials {
-        let squashing: DMatrix<f64> = squashing_matrix(rank, &DVector::from_column_slice(&trial.arm_m));
-        let newton = trial.mass_kg * calibration.gravity;
-        for (load, column) in loads.iter_mut().zip(squashing.column_iter()) {
-            *load += newton * newton * column.norm_squared() / rank as f64;
-        }
-    }
-    loads / calibration.trials.len().max(1) as f64
+    let loads = calibration
+        .trials
+        .iter()
+        .map(|trial| (DVector::from_column_slice(&trial.arm_m), trial.mass_kg * calibration.gravity));
+    mean_square_load(calibration.dof.trial_rank(), calibration.dof.count(), loads).diagonal()
 }
 
 #[cfg(test)]

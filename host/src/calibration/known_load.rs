@@ -86,6 +86,22 @@ pub fn squashing_matrix(rank: usize, arm_m: &DVector<f64>) -> DMatrix<f64> {
     squashing
 }
 
+/// ⟨wwᵀ⟩ (m × m) over loads in all directions of the r-dimensional space, newton and newton metre: of each load its arm (metre)
+/// and its weight (newton).
+pub fn mean_square_load(
+    rank: usize,
+    components: usize,
+    loads: impl ExactSizeIterator<Item = (DVector<f64>, f64)>,
+) -> DMatrix<f64> {
+    let count = loads.len().max(1) as f64;
+    let mut sum = DMatrix::zeros(components, components);
+    for (arm_m, newton) in loads {
+        let squashing = squashing_matrix(rank, &arm_m);
+        sum += squashing.transpose() * &squashing * (newton * newton / rank as f64);
+    }
+    sum / count
+}
+
 #[cfg(test)]
 mod tests {
     use ftcal_shared::units::AdcCode;

@@ -35,7 +35,7 @@ use super::joint::observation::Observation;
 use super::joint::refinement::{Problem, State, refine};
 use super::joint::uncertainty::Uncertainty;
 use super::joint::{LARGEST_STRAIN, Solved};
-use super::known_load::squashing_matrix;
+use super::known_load::{mean_square_load, squashing_matrix};
 use super::matrix::matrix_of_shape;
 use super::procrustes::{Turned, onto};
 use super::singular::Singular;
@@ -252,7 +252,9 @@ fn least_change(
             }),
             per_axis_full_load: match &wrench {
                 Some(wrench) => {
-                    let loads = mean_square_load(stored.dof.trial_rank(), trials, &newtons);
+                    let arms = trials.iter().map(|trial| trial.case.arm_m.clone());
+                    let (rank, components) = (stored.dof.trial_rank(), stored.dof.count());
+                    let loads = mean_square_load(rank, components, arms.zip(newtons.iter().copied()));
                     wrench.mean_variance(&loads).map(f64::sqrt)
                 }
                 None => uncertainty.per_axis_full_load.zip_map(&lengths, |deviation, length| {
@@ -323,15 +325,6 @@ impl Changed {
         let with_bias = vec![DVector::zeros(lengths.len()); lengths.len()];
         WrenchUncertainty { by_load: by_load.collect(), with_bias, unloaded }
     }
-}
-
-/// ⟨wwᵀ⟩ over the loads of the trials in all directions, newton and newton metre.
-fn mean_square_load(rank: usize, trials: &[SolvedTrial], newtons: &[f64]) -> DMatrix<f64> {
-    let each = trials.iter().zip(newtons).map(|(trial, newton)| {
-        let squashing = squashing_matrix(rank, &trial.case.arm_m);
-        squashing.transpose() * &squashing * (newton * newton / rank as f64)
-    });
-    each.sum::<DMatrix<f64>>() / trials.len().max(1) as f64
 }
 
 fn root_mean_square(values: impl ExactSizeIterator<Item = f64>) -> f64 {

@@ -7,7 +7,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-/// The least eigenvalue of a covariance over its trace that is rounding.
+/// What is rounding in a covariance that was brought to a diagonal of ones.
 const ROUNDING: f64 = 1e-9;
 
 /// The variance of each component of a wrench, as it follows the wrench.

@@ -17,6 +17,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::super::bias::BiasCovariance;
 use super::super::drift::ShapeDeviation;
+use super::super::known_load::mean_square_load;
 use super::super::matrix::matrix_of_shape;
 use super::super::wrench_uncertainty::WrenchUncertainty;
 use super::refinement::{Fit, Problem};
@@ -123,7 +124,8 @@ pub fn propagate(problem: &Problem, fit: &Fit, premises: &Premises) -> Option<Pr
         }),
     }
     .bounded();
-    let per_axis = wrench.mean_variance(&mean_square_load(problem, fit, newtons)).map(f64::sqrt);
+    let loads = newtons.iter().enumerate().map(|(trial, newton)| (problem.arm_m(trial, &fit.state), *newton));
+    let per_axis = wrench.mean_variance(&mean_square_load(problem.rank, components, loads)).map(f64::sqrt);
     let wrench_error = (of_components.sum() / components as f64).sqrt();
     let of_gages = DVector::from_fn(gages, |gage, _| {
         let block = covariance.view((gage * components, gage * components), (components, components));
@@ -203,18 +205,6 @@ fn common_mass_variance(problem: &Problem) -> f64 {
     let trials = problem.observations.len().max(1) as f64;
     let variance = problem.observations.iter().map(|trial| trial.mass_accuracy.powi(2)).sum::<f64>() / trials;
     variance * (1.0 - 1.0 / trials)
-}
-
-/// ⟨wwᵀ⟩ over the loads of the trials in all directions, newton and newton metre.
-fn mean_square_load(problem: &Problem, fit: &Fit, newtons: &[f64]) -> DMatrix<f64> {
-    let mut mean = DMatrix::zeros(problem.components(), problem.components());
-    for (trial, newton) in newtons.iter().enumerate() {
-        // A torque of the scaled shape is F · arm / length.
-        let mut squashing = problem.squashing(&problem.arm_m(trial, &fit.state));
-        squashing.column_iter_mut().zip(&problem.lengths).for_each(|(mut column, length)| column *= *length);
-        mean += squashing.transpose() * &squashing * (newton * newton / problem.rank as f64);
-    }
-    mean / newtons.len().max(1) as f64
 }
 
 fn quadratic_form(covariance: &DMatrix<f64>, gradient: &[f64]) -> f64 {
