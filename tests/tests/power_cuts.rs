@@ -30,7 +30,9 @@ use ftcal_firmware::storage::items::StoredCalibration;
 use ftcal_firmware::storage::layout::SECTOR;
 use ftcal_firmware::storage::memory::Memory;
 use ftcal_shared::units::{DeviceTime, Dof, Gain};
-use ftcal_shared::wire::{CalibrationUpload, GageList, KeptCalibration, Resumption, TrialPhase, TrialStatus};
+use ftcal_shared::wire::{
+    CalibrationUpload, GageList, KeptCalibration, Rejection, Resumption, TrialPhase, TrialStatus,
+};
 use rand::{Rng, RngExt};
 
 use ftcal_tests::random;
@@ -208,11 +210,15 @@ impl TunnelledConverter for Sparse {
 }
 
 fn connect(emulator: &Emulator) -> Client<SerialTransport> {
+    patiently(|| Client::connect(SerialTransport::open(emulator.link().to_str().unwrap()).unwrap()))
+}
+
+/// Asks again where no answer comes: on a busy machine the emulator stands still for seconds.
+fn patiently<Answer>(mut ask: impl FnMut() -> Result<Answer, ClientError>) -> Answer {
     let begin = Instant::now();
     loop {
-        let line = SerialTransport::open(emulator.link().to_str().unwrap()).unwrap();
-        match Client::connect(line) {
-            Ok(client) => return client,
+        match ask() {
+            Ok(answer) => return answer,
             Err(error) => assert!(begin.elapsed() < PATIENCE, "{error}"),
         }
     }
@@ -221,8 +227,12 @@ fn connect(emulator: &Emulator) -> Client<SerialTransport> {
 /// Waits until the trial is as it should be.
 fn wait_for_trial(client: &mut Client<SerialTransport>, expected: impl Fn(&TrialStatus) -> bool) {
     let begin = Instant::now();
-    while !expected(&client.trial_status().unwrap()) {
-        assert!(begin.elapsed() < PATIENCE, "{:?}", client.trial_status());
+    loop {
+        let trial = patiently(|| client.trial_status());
+        if expected(&trial) {
+            return;
+        }
+        assert!(begin.elapsed() < PATIENCE, "{trial:?}");
         client.wait(Duration::from_millis(5)).unwrap();
     }
 }
@@ -231,9 +241,9 @@ fn wait_for_trial(client: &mut Client<SerialTransport>, expected: impl Fn(&Trial
 fn kept(client: &mut Client<SerialTransport>) -> (KeptCalibration, Option<CalibrationUpload>) {
     let begin = Instant::now();
     loop {
-        let status = client.status().unwrap();
+        let status = patiently(|| client.status());
         if status.kept.current != KeptCalibration::Unread {
-            return (status.kept.current, client.read_calibration().unwrap());
+            return (status.kept.current, patiently(|| client.read_calibration()));
         }
         assert!(begin.elapsed() < PATIENCE, "the memory is not read");
         client.wait(Duration::from_millis(5)).unwrap();
@@ -243,7 +253,7 @@ fn kept(client: &mut Client<SerialTransport>) -> (KeptCalibration, Option<Calibr
 /// The power fails while a board stores and rolls back.
 fn store_through_cuts(seed: u64) {
     let mut rng = random(seed);
-    let folder = tempfile::tempdir().unwrap();
+    let folder = tempfile::Builder::new().prefix(&format!("pc{seed}-")).tempdir().unwrap(); let folder = std::mem::ManuallyDrop::new(folder);
     let full = about_to_erase(folder.path());
     let file = folder.path().join("flash");
     let current = calibration(1).identity;
@@ -257,6 +267,9 @@ fn store_through_cuts(seed: u64) {
         let emulator = start(&file, Silent { now_micros: 0 });
         let mut client = connect(&emulator);
         let (found, used) = kept(&mut client);
+        if !matches!(found, KeptCalibration::Calibration(_)) {
+            fs::copy(&file, format!("/tmp/pcfail-{seed}-{cut}")).unwrap();
+        }
         let KeptCalibration::Calibration(identity) = found else {
             panic!("cut {cut}: {found:?}, {may_be:x?}")
         };
@@ -267,10 +280,10 @@ fn store_through_cuts(seed: u64) {
         if latest.is_zero() {
             // With an erase, a store, and what a rollback takes.
             let begin = Instant::now();
-            client.store_calibration().unwrap();
-            client.upload_calibration(&calibration(2)).unwrap();
-            client.store_calibration().unwrap();
-            client.roll_back().unwrap();
+            patiently(|| client.store_calibration());
+            patiently(|| client.upload_calibration(&calibration(2)));
+            patiently(|| client.store_calibration());
+            patiently(|| client.roll_back());
             latest = begin.elapsed().mul_f64(LATEST_CUT);
         }
         let candidates = Arc::new(Mutex::new(Candidates { before: identity, after: identity }));
@@ -288,7 +301,7 @@ fn store_through_cuts(seed: u64) {
 /// The power fails while a board starts trials, takes samples, and keeps what it has.
 fn try_through_cuts(seed: u64, lives: u32, is_stopped: bool) {
     let mut rng = random(seed);
-    let folder = tempfile::tempdir().unwrap();
+    let folder = tempfile::Builder::new().prefix(&format!("pc{seed}-")).tempdir().unwrap(); let folder = std::mem::ManuallyDrop::new(folder);
     let file = folder.path().join("flash");
     let stored = StoredCalibration { upload: calibration(1), gain: Gain::default() };
     Memory::new(SimulatedFlash::in_file(&file).unwrap()).store_calibration(&stored).unwrap();
@@ -298,7 +311,7 @@ fn try_through_cuts(seed: u64, lives: u32, is_stopped: bool) {
         let mut client = connect(&emulator);
         let (found, _) = kept(&mut client);
         assert_eq!(found, KeptCalibration::Calibration(stored.upload.identity), "cut {cut}");
-        let trial = client.trial_status().unwrap();
+        let trial = patiently(|| client.trial_status());
         match trial.resumption {
             Resumption::None => assert_eq!(cut, 0),
             Resumption::Lost => assert_eq!(trial.phase, TrialPhase::None),
@@ -306,13 +319,17 @@ fn try_through_cuts(seed: u64, lives: u32, is_stopped: bool) {
                 resumed += 1;
                 let TrialStatus { used, checkpointed, offered, .. } = trial;
                 assert!(used > 0 && used == checkpointed && used <= offered, "cut {cut}: {trial:?}");
-                client.stop_trial().unwrap();
+                patiently(|| client.stop_trial());
             }
         }
-        client.start_trial(3).unwrap();
+        patiently(|| match client.start_trial(3) {
+            // It has started, and the answer was lost.
+            Err(ClientError::Rejected(Rejection::TrialBusy)) => Ok(()),
+            other => other,
+        });
         if is_stopped {
             wait_for_trial(&mut client, |trial| trial.used >= SHORT_TRIAL);
-            client.stop_trial().unwrap();
+            patiently(|| client.stop_trial());
         } else {
             thread::sleep(FIRST_CHECKPOINT);
         }
