@@ -303,9 +303,13 @@ where
         };
         match self.health.measure(usable, saturated_channels(&sample.codes), sample) {
             Err(cause) => Measurement::Invalid(cause),
-            Ok(wrench) if !PackedWrenches::can_hold(&wrench) => Measurement::Invalid(InvalidCause::NonFinite),
+            Ok(()) if !PackedWrenches::can_hold(self.health.wrench()) => {
+                Measurement::Invalid(InvalidCause::NonFinite)
+            }
             #[expect(clippy::cast_possible_truncation, reason = "at most six axes")]
-            Ok(wrench) => Measurement::Valid { wrench, axes: axes as u8, calibration: identity },
+            Ok(()) => {
+                Measurement::Valid { wrench: *self.health.wrench(), axes: axes as u8, calibration: identity }
+            }
         }
     }
 

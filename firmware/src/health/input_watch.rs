@@ -47,25 +47,33 @@ impl<const GAGES: usize> InputWatch<GAGES> {
 
     /// Takes in one sample, and says what repeats itself.
     pub(crate) fn push(&mut self, codes: &[AdcCode; GAGES]) -> Repetition {
-        const NONE: Repetition = Repetition { lasting: 0, of_all: false };
-        let mut same = 0;
-        for gage in 0..GAGES {
-            same |= u16::from(codes[gage] == self.last[gage]) << gage;
-            self.last[gage] = codes[gage];
+        let ((codes_by_four, codes_rest), (last_by_four, last_rest)) =
+            (codes.as_chunks::<4>(), self.last.as_chunks::<4>());
+        let mut any = self.running;
+        // Written out: the compiler unrolls nothing where it is to save room.
+        for ([a, b, c, d], [e, f, g, h]) in codes_by_four.iter().zip(last_by_four) {
+            any |= (a == e) | (b == f) | (c == g) | (d == h);
         }
-        if same == 0 && !self.running { NONE } else { self.count(same) }
+        for (code, last) in codes_rest.iter().zip(last_rest) {
+            any |= code == last;
+        }
+        let repetition = if any { self.count(codes) } else { Repetition { lasting: 0, of_all: false } };
+        self.last = *codes;
+        repetition
     }
 
     /// Rarely needed, so not in the way of what is.
     #[cold]
-    fn count(&mut self, same: u16) -> Repetition {
-        let mut lasting = 0;
+    fn count(&mut self, codes: &[AdcCode; GAGES]) -> Repetition {
+        let (mut lasting, mut same) = (0, 0_usize);
         for (gage, run) in self.runs.iter_mut().enumerate() {
-            *run = if same & 1 << gage == 0 { 0 } else { run.saturating_add(1) };
+            let repeats = codes[gage] == self.last[gage];
+            *run = if repeats { run.saturating_add(1) } else { 0 };
+            same += usize::from(repeats);
             lasting |= u16::from(*run > ALLOWED) << gage;
         }
         self.running = same != 0;
-        Repetition { lasting, of_all: same.count_ones() as usize == GAGES }
+        Repetition { lasting, of_all: same == GAGES }
     }
 }
 

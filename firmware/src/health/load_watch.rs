@@ -13,6 +13,7 @@ pub(super) struct LoadWatch {
     /// One over each limit; zero where there is none.
     per_limit: [f32; MAX_DOF],
     combined_squared: f32,
+    has_limits: bool,
     has_thresholds: bool,
     /// Thresholds that are exceeded: bit k for component k.
     exceeded: u8,
@@ -25,6 +26,7 @@ impl LoadWatch {
             limits: LoadLimits::NONE,
             per_limit: [0.0; MAX_DOF],
             combined_squared: f32::INFINITY,
+            has_limits: false,
             has_thresholds: false,
             exceeded: 0,
             peak_since_start: [0.0; MAX_DOF],
@@ -56,6 +58,8 @@ impl LoadWatch {
         self.limits = limits;
         self.per_limit = limits.largest.map(|limit| 1.0 / limit);
         self.combined_squared = limits.combined * limits.combined;
+        // Without a limit of a component there is nothing to be combined.
+        self.has_limits = limits.largest.iter().any(|limit| limit.is_finite());
         self.has_thresholds = limits.thresholds.iter().any(|threshold| threshold.level.is_finite());
         self.exceeded = 0;
         Ok(())
@@ -63,21 +67,17 @@ impl LoadWatch {
 
     /// Takes in the whole load of one sample, and the wrench that is sent of it; says what is beyond its limits.
     pub(super) fn judge(&mut self, dof: Dof, load: &[f32; MAX_DOF], sent: &[f32; MAX_DOF]) -> StatusWord {
-        let (mut combined, mut most) = (0.0, 0.0_f32);
-        for component in 0..MAX_DOF {
-            let magnitude = load[component].abs();
-            if magnitude > self.peak_since_start[component] {
-                self.peak_since_start[component] = magnitude;
-            }
-            let used = magnitude * self.per_limit[component];
-            combined += used * used;
-            if used > most {
-                most = used;
-            }
-        }
+        let [a, b, c, d, e, f] = &mut self.peak_since_start;
+        // Component by component: the compiler unrolls nothing where it is to save room.
+        raise(a, load[0]);
+        raise(b, load[1]);
+        raise(c, load[2]);
+        raise(d, load[3]);
+        raise(e, load[4]);
+        raise(f, load[5]);
         let mut word = StatusWord::NONE;
-        if most > 1.0 || combined > self.combined_squared {
-            word = self.overload(dof, load, combined);
+        if self.has_limits {
+            word = self.overload(dof, load);
         }
         if self.has_thresholds {
             self.compare_with_thresholds(sent);
@@ -86,10 +86,18 @@ impl LoadWatch {
         word
     }
 
-    #[cold]
-    fn overload(&self, dof: Dof, load: &[f32; MAX_DOF], combined: f32) -> StatusWord {
-        let mut word =
-            StatusBit::Overload.word().with(StatusBit::OverloadCombined, combined > self.combined_squared);
+    fn overload(&self, dof: Dof, load: &[f32; MAX_DOF]) -> StatusWord {
+        let (mut combined, mut any) = (0.0, false);
+        for (component, per_limit) in load.iter().zip(&self.per_limit) {
+            let used = component * per_limit;
+            any |= used.abs() > 1.0;
+            combined += used * used;
+        }
+        let too_much_together = combined > self.combined_squared;
+        if !any && !too_much_together {
+            return StatusWord::NONE;
+        }
+        let mut word = StatusBit::Overload.word().with(StatusBit::OverloadCombined, too_much_together);
         for ((&axis, component), per_limit) in dof.axes().iter().zip(load).zip(&self.per_limit) {
             word = word.with(StatusBit::overload(axis), component.abs() * per_limit > 1.0);
         }
@@ -106,6 +114,14 @@ impl LoadWatch {
             };
             self.exceeded = self.exceeded & !bit | u8::from(value.abs() > level) << component;
         }
+    }
+}
+
+/// Raises a peak to this magnitude, if it is larger.
+#[inline]
+const fn raise(peak: &mut f32, component: f32) {
+    if component.abs() > *peak {
+        *peak = component.abs();
     }
 }
 

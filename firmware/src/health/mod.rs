@@ -73,6 +73,8 @@ pub struct Health<const GAGES: usize> {
     left_out: Option<u8>,
     /// ‖π‖² of the last sample, over what noise alone makes of it in the mean.
     chi_square: Option<f32>,
+    /// What was made of the last sample that made one.
+    wrench: [f32; MAX_DOF],
     parity: Option<ParityMonitor<GAGES>>,
     loads: LoadWatch,
     tare: Tare,
@@ -94,6 +96,7 @@ impl<const GAGES: usize> Health<GAGES> {
             in_use: u16::MAX >> (u16::BITS as usize - GAGES),
             left_out: None,
             chi_square: None,
+            wrench: [0.0; MAX_DOF],
             parity: None,
             loads: LoadWatch::new(),
             tare: Tare::new(),
@@ -160,8 +163,15 @@ impl<const GAGES: usize> Health<GAGES> {
         self.chi_square
     }
 
+    /// The wrench that [`Health::measure`] has made last, newton and newton metre, with the tare subtracted. Nothing unless it has
+    /// made one.
+    pub const fn wrench(&self) -> &[f32; MAX_DOF] {
+        &self.wrench
+    }
+
     /// Makes a wrench of a sample, or says why it is none. `calibration` is what is applied, or why nothing is; `saturated` the gages
-    /// that stand at an end of the range.
+    /// that stand at an end of the range. The wrench itself is [`Health::wrench`]: moved about inside of a result, it would cost more
+    /// than it costs to make.
     ///
     /// # Errors
     ///
@@ -171,7 +181,7 @@ impl<const GAGES: usize> Health<GAGES> {
         calibration: Result<&RealTimeCalibration<GAGES>, InvalidCause>,
         saturated: u16,
         sample: &Sample<GAGES>,
-    ) -> Result<[f32; MAX_DOF], InvalidCause> {
+    ) -> Result<(), InvalidCause> {
         self.saturated = saturated;
         self.repeating = sample.repeating;
         self.chi_square = None;
@@ -182,7 +192,7 @@ impl<const GAGES: usize> Health<GAGES> {
             .with(StatusBit::OpenInput, repeating != 0);
         self.note(of_sample);
         let testing = self.is_testing();
-        let wrench = match calibration {
+        let measured = match calibration {
             _ if testing && (saturated | repeating) != 0 => Err(InvalidCause::SelfTest),
             Err(cause) => Err(cause),
             Ok(_) if saturated != 0 => Err(InvalidCause::Saturated(saturated)),
@@ -192,18 +202,18 @@ impl<const GAGES: usize> Health<GAGES> {
         if testing {
             return Err(InvalidCause::SelfTest);
         }
-        if wrench.is_err() {
+        if measured.is_err() {
             self.tare.offer(None);
         }
         self.latched = self.latched.union(self.live);
-        wrench
+        measured
     }
 
     fn apply(
         &mut self,
         calibration: &RealTimeCalibration<GAGES>,
         sample: &Sample<GAGES>,
-    ) -> Result<[f32; MAX_DOF], InvalidCause> {
+    ) -> Result<(), InvalidCause> {
         let signal = calibration.signal(&sample.codes);
         if let Some(monitor) = &mut self.parity {
             let judged = monitor.judge(&signal);
@@ -218,14 +228,16 @@ impl<const GAGES: usize> Health<GAGES> {
             }
         }
         let load = calibration.wrench(&signal);
-        let sent = self.tare.subtracted(&load);
+        self.wrench = self.tare.subtracted(&load);
         if !self.is_testing() {
-            self.live = self.live.union(self.loads.judge(calibration.dof(), &load, &sent));
-            if let Averaged::Set { store } = self.tare.offer(Some(&load)) {
+            self.live = self.live.union(self.loads.judge(calibration.dof(), &load, &self.wrench));
+            if self.tare.is_averaging()
+                && let Averaged::Set { store } = self.tare.offer(Some(&load))
+            {
                 self.tare_changed(store);
             }
         }
-        Ok(sent)
+        Ok(())
     }
 
     /// What is so with this sample, besides what lasts.

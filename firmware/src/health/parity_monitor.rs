@@ -84,7 +84,9 @@ pub(super) struct ParityMonitor<const GAGES: usize> {
     per_block: f32,
     noise: Noise,
     allowed: Allowed,
-    last: Option<[f32; GAGES]>,
+    /// π of the sample before, if there was one.
+    last: [f32; GAGES],
+    has_last: bool,
     running: f32,
     sum: [f32; GAGES],
     summed: u32,
@@ -114,8 +116,7 @@ struct Allowed {
     running: f32,
 }
 
-/// Second moments of block means: the upper triangle of the sum of π̄π̄ᵀ.
-#[derive(Clone, Copy)]
+/// Second moments of block means: the sum of π̄π̄ᵀ (q × q).
 struct Window<const GAGES: usize> {
     moments: [[f32; GAGES]; GAGES],
     blocks: u32,
@@ -167,7 +168,8 @@ impl<const GAGES: usize> ParityMonitor<GAGES> {
             per_block: 1.0 / block as f32,
             noise: Noise { variance: 0.0, per_variance: 0.0, learned: 0 },
             allowed: Allowed { sample: f32::INFINITY, running: f32::INFINITY },
-            last: None,
+            last: [0.0; GAGES],
+            has_last: false,
             running: 0.0,
             sum: [0.0; GAGES],
             summed: 0,
@@ -198,27 +200,28 @@ impl<const GAGES: usize> ParityMonitor<GAGES> {
 
     /// Takes in one signal, and judges it.
     pub(super) fn judge(&mut self, signal: &[f32; GAGES]) -> Judged {
-        let mut parity = [0.0; GAGES];
-        let mut squared = 0.0;
-        for ((component, sum), row) in parity.iter_mut().zip(&mut self.sum).zip(self.space.basis()) {
-            for gage in 0..GAGES {
-                *component += row[gage] * signal[gage];
-            }
-            *sum += *component;
-            squared += *component * *component;
-        }
-        let mut of_signal = 0.0;
-        for gage in 0..GAGES {
-            of_signal += signal[gage] * signal[gage];
+        let (mut squared, mut change, mut of_signal) = (0.0, 0.0, 0.0);
+        let ((sums, _), (lasts, _)) = (self.sum.as_chunks_mut::<2>(), self.last.as_chunks_mut::<2>());
+        let pairs = self.space.pairs().iter().zip(sums).zip(lasts);
+        for ((pair, [sum_a, sum_b]), [last_a, last_b]) in pairs {
+            let [a, b, of_all] = products(pair, signal);
+            of_signal = of_all;
+            squared += a * a + b * b;
+            let (change_a, change_b) = (a - *last_a, b - *last_b);
+            change += change_a * change_a + change_b * change_b;
+            *sum_a += a;
+            *sum_b += b;
+            (*last_a, *last_b) = (a, b);
         }
         let of_model = MODEL_TOLERANCE * MODEL_TOLERANCE * of_signal;
         let allowed = self.allowed.sample + of_model;
-        self.running += RUNNING_WEIGHT * (squared.min(allowed) - self.running);
-        let contradicts = squared > allowed || self.running > self.allowed.running + of_model;
+        let is_beyond = squared > allowed;
+        let counted = if is_beyond { allowed } else { squared };
+        self.running += RUNNING_WEIGHT * (counted - self.running);
+        let contradicts = is_beyond || self.running > self.allowed.running + of_model;
         if !contradicts && (self.summed == 1 || !self.is_watching()) {
-            self.learn(&parity);
+            self.learn(change);
         }
-        self.last = Some(parity);
         self.summed += 1;
         if self.summed == self.block {
             self.end_block(of_signal);
@@ -242,12 +245,12 @@ impl<const GAGES: usize> ParityMonitor<GAGES> {
         }
     }
 
-    /// Half the squared difference of two successive parities has the mean σ².
-    fn learn(&mut self, parity: &[f32; GAGES]) {
-        let Some(last) = &self.last else { return };
-        let mut squared = 0.0;
-        for ((one, other), _) in parity.iter().zip(last).zip(self.space.basis()) {
-            squared += (one - other) * (one - other);
+    /// Half the squared change from one parity to the next has the mean σ².
+    #[inline(never)]
+    fn learn(&mut self, squared: f32) {
+        if !self.has_last {
+            self.has_last = true;
+            return;
         }
         let Noise { variance, per_variance, learned } = &mut self.noise;
         if *learned < LEARNING {
@@ -259,7 +262,8 @@ impl<const GAGES: usize> ParityMonitor<GAGES> {
             }
             self.running = *variance;
         } else {
-            *variance += NOISE_WEIGHT * ((squared / 2.0).min(LARGEST_DIFFERENCE * *variance) - *variance);
+            let (counted, most) = (squared / 2.0, LARGEST_DIFFERENCE * *variance);
+            *variance += NOISE_WEIGHT * (if counted < most { counted } else { most } - *variance);
         }
         // Codes are rounded: their noise is not less than that of rounding.
         *variance = variance.max(LEAST_VARIANCE);
@@ -268,21 +272,30 @@ impl<const GAGES: usize> ParityMonitor<GAGES> {
         self.allowed.running = RUNNING_LIMIT * *variance + TOLERANCE * TOLERANCE;
     }
 
+    #[inline(never)]
     fn end_block(&mut self, of_signal: f32) {
-        let mean = self.sum.map(|sum| sum * self.per_block);
-        self.sum = [0.0; GAGES];
+        let redundant = self.space.redundant();
+        let watching = self.is_watching();
+        let (sums, _) = self.sum.split_at_mut_checked(redundant).unwrap_or_default();
+        for sum in &mut *sums {
+            *sum *= self.per_block;
+        }
+        if watching {
+            for (row, one) in self.window.moments.iter_mut().zip(&*sums) {
+                for (moment, other) in row.iter_mut().zip(&*sums) {
+                    *moment += one * other;
+                }
+            }
+        }
+        sums.fill(0.0);
         self.summed = 0;
-        if !self.is_watching() {
+        if !watching {
             return;
         }
         self.judge_next();
-        let redundant = self.space.redundant();
-        for (row, one) in self.window.moments.iter_mut().zip(&mean).take(redundant) {
-            for (moment, other) in row.iter_mut().zip(&mean).take(redundant) {
-                *moment += one * other;
-            }
+        if of_signal > self.window.signal {
+            self.window.signal = of_signal;
         }
-        self.window.signal = self.window.signal.max(of_signal);
         self.window.blocks += 1;
         if self.window.blocks == WINDOW {
             self.end_window();
@@ -291,16 +304,21 @@ impl<const GAGES: usize> ParityMonitor<GAGES> {
 
     fn end_window(&mut self) {
         const PER_WINDOW: f32 = 1.0 / WINDOW as f32;
-        let window = core::mem::replace(&mut self.window, Window::EMPTY);
+        let redundant = self.space.redundant();
+        let Window { moments: summed, blocks, signal } = &mut self.window;
         let Verdict { moments, total, allowed, next, found, best, suspects, off_counts } = &mut self.verdict;
-        *moments = window.moments.map(|row| row.map(|moment| moment * PER_WINDOW));
         *total = 0.0;
-        for direction in 0..GAGES {
-            *total += moments[direction][direction];
+        for (direction, (row, summed)) in moments.iter_mut().zip(summed).enumerate().take(redundant) {
+            for (moment, sum) in row.iter_mut().zip(&mut *summed).take(redundant) {
+                *moment = *sum * PER_WINDOW;
+                *sum = 0.0;
+            }
+            *total += row[direction];
         }
         *allowed = WINDOW_LIMIT * self.noise.variance * self.per_block
             + TOLERANCE * TOLERANCE
-            + MODEL_TOLERANCE * MODEL_TOLERANCE * window.signal;
+            + MODEL_TOLERANCE * MODEL_TOLERANCE * *signal;
+        (*blocks, *signal) = (0, 0.0);
         (*found, *best) = (0, (f32::INFINITY, 0.0));
         if *total > *allowed {
             *next = 0;
@@ -347,4 +365,34 @@ impl<const GAGES: usize> ParityMonitor<GAGES> {
         }
         along
     }
+}
+
+/// The products of a signal with two rows, and with itself. Four gages at a time, written out: the compiler unrolls nothing where
+/// it is to save room.
+#[inline]
+fn products<const GAGES: usize>([a, b]: &[[f32; GAGES]; 2], signal: &[f32; GAGES]) -> [f32; 3] {
+    let ((a_fours, a_rest), (b_fours, b_rest)) = (a.as_chunks::<4>(), b.as_chunks::<4>());
+    let (fours, rest) = signal.as_chunks::<4>();
+    let (mut with_a, mut with_b, mut with_itself) = (0.0, 0.0, 0.0);
+    for ((a, b), four) in a_fours.iter().zip(b_fours).zip(fours) {
+        let ([a0, a1, a2, a3], [b0, b1, b2, b3], [s0, s1, s2, s3]) = (a, b, four);
+        with_a += a0 * s0;
+        with_b += b0 * s0;
+        with_itself += s0 * s0;
+        with_a += a1 * s1;
+        with_b += b1 * s1;
+        with_itself += s1 * s1;
+        with_a += a2 * s2;
+        with_b += b2 * s2;
+        with_itself += s2 * s2;
+        with_a += a3 * s3;
+        with_b += b3 * s3;
+        with_itself += s3 * s3;
+    }
+    for ((a, b), s) in a_rest.iter().zip(b_rest).zip(rest) {
+        with_a += a * s;
+        with_b += b * s;
+        with_itself += s * s;
+    }
+    [with_a, with_b, with_itself]
 }

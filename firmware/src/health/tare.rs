@@ -103,12 +103,16 @@ impl Tare {
     }
 
     /// The wrench less the tare.
+    #[inline]
     pub(super) fn subtracted(&self, load: &[f32; MAX_DOF]) -> [f32; MAX_DOF] {
-        let mut sent = *load;
-        for (component, offset) in sent.iter_mut().zip(&self.offset) {
-            *component -= offset;
-        }
-        sent
+        let ([a, b, c, d, e, f], [of_a, of_b, of_c, of_d, of_e, of_f]) = (load, &self.offset);
+        [a - of_a, b - of_b, c - of_c, d - of_d, e - of_e, f - of_f]
+    }
+
+    /// Whether samples are being averaged.
+    #[inline]
+    pub(super) const fn is_averaging(&self) -> bool {
+        matches!(self.phase, Phase::Averaging(_))
     }
 
     /// Takes in the whole load of one sample, or that it is no wrench.

@@ -91,6 +91,12 @@ impl<const GAGES: usize> ParitySpace<GAGES> {
         self.basis.split_at_checked(self.redundant).map_or(&[], |(rows, _)| rows)
     }
 
+    /// B in pairs of rows, as few as hold all q; an odd one comes with a row of zeros.
+    pub fn pairs(&self) -> &[[[f32; GAGES]; 2]] {
+        let (pairs, _) = self.basis.as_chunks::<2>();
+        pairs.split_at_checked(self.redundant.div_ceil(2)).map_or(pairs, |(used, _)| used)
+    }
+
     /// π of a signal, counts; elements beyond q are zero.
     pub fn parity(&self, signal: &[f32; GAGES]) -> [f32; GAGES] {
         let mut parity = [0.0; GAGES];

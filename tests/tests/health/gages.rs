@@ -23,10 +23,10 @@ use rand_distr::{Distribution, StandardNormal};
 
 use super::rig::{Rig, assert_near, scenario};
 
-/// Whether two gages are off in the same direction of the parity space, or nearly: within 2°.
-fn are_alike(projector: &DMatrix<f64>, one: usize, other: usize) -> bool {
+/// The sine of the angle between the directions in which two gages are off in the parity space.
+fn sine_between(projector: &DMatrix<f64>, one: usize, other: usize) -> f64 {
     let cosine = projector[(one, other)] / (projector[(one, one)] * projector[(other, other)]).sqrt();
-    cosine.abs() > 2.0_f64.to_radians().cos()
+    (1.0 - cosine * cosine).max(0.0).sqrt()
 }
 
 /// The axis along which the load makes this gage read most.
@@ -64,7 +64,11 @@ fn check_naming<const GAGES: usize, const HIGHER: usize>(truth: &SoftwareSensor,
             assert!(report.live.contains(StatusBit::GageSuspect), "{fault:?}: {parity:?}");
             assert!(parity.suspects & 1 << gage != 0, "{fault:?}: {parity:?}");
             for other in (0..GAGES).filter(|other| parity.suspects & 1 << other != 0) {
-                assert!(are_alike(&projector, gage, other), "{fault:?}: {parity:?}");
+                // What the fault leaves beside the other gage's direction is no more than is allowed, or than the direction is off by.
+                let beside = f64::from(parity.disagreement_counts) * sine_between(&projector, gage, other);
+                let allowed =
+                    f64::from(parity.allowed_counts).hypot(0.02 * f64::from(parity.disagreement_counts));
+                assert!(beside < 1.2 * allowed, "{fault:?}: {parity:?}");
             }
             if let Fault::DriftingChannel { counts_per_second, .. } = fault {
                 // The last complete window lay between half a second and a second after the onset.

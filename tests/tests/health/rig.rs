@@ -8,6 +8,7 @@ use ftcal::simulator::operator::turn;
 use ftcal::simulator::scenario::{Scenario, ScenarioKind};
 use ftcal::simulator::sensor::SoftwareSensor;
 use ftcal_firmware::sensor::{LinkCounters, Reaction, Sensor};
+use ftcal_firmware::storage::job::{StoreJob, Stored};
 use ftcal_firmware::stream::{Measurement, Moment};
 use ftcal_shared::estimation::bins::Bins;
 use ftcal_shared::units::{DataRate, Gain};
@@ -95,7 +96,13 @@ impl<const GAGES: usize, const HIGHER: usize> Rig<GAGES, HIGHER> {
         let now = self.bench.with(|bench| bench.now());
         match self.sensor.answer(request, now, LinkCounters::default()) {
             Reaction::Respond(response) => response,
-            Reaction::Solve(_) | Reaction::Store(_) | Reaction::Diagnose => panic!("nothing is solved here"),
+            // A trial without checkpoints.
+            Reaction::Store(StoreJob::PrepareTrial { rank, .. }) => {
+                self.sensor.finish_storing(Stored::Prepared { rank })
+            }
+            Reaction::Solve(_) | Reaction::Store(_) | Reaction::Diagnose => {
+                panic!("nothing of this is asked here")
+            }
         }
     }
 
