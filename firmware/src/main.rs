@@ -54,7 +54,7 @@ mod app {
     use rtic::Mutex;
     use stm32f4xx_hal::pac::Interrupt;
 
-    use crate::board::link::{Link, LinkQueues, Outbox};
+    use crate::board::link::{Link, LinkQueues, Outbox, is_changing_rate};
     use crate::board::watchdog::Watchdog;
     use crate::board::{Converter, DataReady, Flash, Start, set_up, time_base};
 
@@ -125,7 +125,7 @@ mod app {
                 self.outbox.change_rate(baud);
                 self.session.rate_changed(baud, time_base::now());
             }
-            !self.outbox.is_changing_rate()
+            !is_changing_rate()
         }
 
         /// Has the line change its rate after the next message.

@@ -74,29 +74,29 @@ impl Link {
             self.queues.to_send.dequeue();
         }
         self.tx.unlisten();
-        let changed = self.change_rate();
+        let changed = change_rate();
         Served { received, sent_all: waiting || changed }
     }
+}
 
-    /// Changes the rate where that was asked for and the last bit has left; whether it has.
-    #[expect(unsafe_code, reason = "the HAL sets the rate once and for all")]
-    fn change_rate(&mut self) -> bool {
-        let next = NEXT_DIVISOR.load(Ordering::Acquire);
-        if next == 0 {
-            return false;
-        }
-        // SAFETY: this is the only place where the USART's registers are written, beside `rx` and `tx`, which are ours.
-        let usart = unsafe { &*USART2::ptr() };
-        if usart.sr().read().tc().bit_is_clear() {
-            return false;
-        }
-        usart.cr1().modify(|_, w| w.ue().clear_bit().over8().bit(next & EIGHT_SAMPLES != 0));
-        // SAFETY: every value of the lower 16 bits is a divisor.
-        usart.brr().write(|w| unsafe { w.bits((next & 0xffff) as _) });
-        usart.cr1().modify(|_, w| w.ue().set_bit());
-        NEXT_DIVISOR.store(0, Ordering::Release);
-        true
+/// Changes the rate where that was asked for and the last bit has left; whether it has.
+#[expect(unsafe_code, reason = "the HAL sets the rate once and for all")]
+fn change_rate() -> bool {
+    let next = NEXT_DIVISOR.load(Ordering::Acquire);
+    if next == 0 {
+        return false;
     }
+    // SAFETY: this is the only place where the USART's registers are written, beside those of `Link`, which calls it.
+    let usart = unsafe { &*USART2::ptr() };
+    if usart.sr().read().tc().bit_is_clear() {
+        return false;
+    }
+    usart.cr1().modify(|_, w| w.ue().clear_bit().over8().bit(next & EIGHT_SAMPLES != 0));
+    // SAFETY: every value of the lower 16 bits is a divisor.
+    usart.brr().write(|w| unsafe { w.bits((next & 0xffff) as _) });
+    usart.cr1().modify(|_, w| w.ue().set_bit());
+    NEXT_DIVISOR.store(0, Ordering::Release);
+    true
 }
 
 /// Above the register's 16 bits.
@@ -149,15 +149,15 @@ impl Outbox {
         NEXT_DIVISOR.store(divisor, Ordering::Release);
     }
 
-    /// Whether the line has yet to change its rate.
-    pub(crate) fn is_changing_rate(&self) -> bool {
-        NEXT_DIVISOR.load(Ordering::Acquire) != 0
-    }
-
     /// Takes the next message. The one before must have been flushed: what is left of it is dropped.
     pub(crate) fn put(&mut self, message: &ToHost) {
         // Every message of the protocol fits into a frame; one that does not is not answered, which the host notices.
         self.frame = encode(message).unwrap_or_default();
         self.queued = 0;
     }
+}
+
+/// Whether the line has yet to change its rate.
+pub(crate) fn is_changing_rate() -> bool {
+    NEXT_DIVISOR.load(Ordering::Acquire) != 0
 }

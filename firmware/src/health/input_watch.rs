@@ -52,10 +52,10 @@ impl<const GAGES: usize> InputWatch<GAGES> {
         let mut any = self.running;
         // Written out: the compiler unrolls nothing where it is to save room.
         for ([a, b, c, d], [e, f, g, h]) in codes_by_four.iter().zip(last_by_four) {
-            any |= (a == e) | (b == f) | (c == g) | (d == h);
+            any = any || a == e || b == f || c == g || d == h;
         }
         for (code, last) in codes_rest.iter().zip(last_rest) {
-            any |= code == last;
+            any = any || code == last;
         }
         let repetition = if any { self.count(codes) } else { Repetition { lasting: 0, of_all: false } };
         self.last = *codes;
