@@ -14,11 +14,12 @@
 use embedded_hal::delay::DelayNs;
 use embedded_hal::spi::SpiDevice;
 use ftcal_shared::fault::AdcFault;
-use ftcal_shared::units::{AdcCode, DataRate, DeviceTime, Gain, SampleIndex};
+use ftcal_shared::units::{AdcCode, DeviceTime, SampleIndex};
 use ftcal_shared::wire::AdcState;
 
-use crate::adc::{AdcSettings, Ads131m08, CHANNELS, ChannelMask, Conversion, Input};
-use crate::health::{Injection, Injector, InputWatch, is_disturbance};
+use crate::adc::{Ads131m08, CHANNELS, ChannelMask, Input};
+use crate::handover::{Orders, Reading, Report};
+use crate::health::{Injector, InputWatch, is_disturbance};
 
 /// Conversion periods without data-ready after which the converter counts as silent.
 const OVERDUE_PERIODS: u64 = 2;
@@ -42,10 +43,6 @@ const RESTART_INTERVAL_MICROS: u64 = 500_000;
 /// One conversion of the gages in use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Sample<const GAGES: usize> {
-    /// Number of the conversion; lost and corrupted conversions have taken a number, too.
-    pub index: SampleIndex,
-    /// When it was announced.
-    pub time: DeviceTime,
     /// The codes, one a gage.
     pub codes: [AdcCode; GAGES],
     /// Gages that repeat their code as no live input does: bit k for gage k.
@@ -63,13 +60,15 @@ pub struct ConversionCounters {
     pub lost: u32,
     /// Thrown away for a wrong checksum or a reply that makes no sense.
     pub corrupted: u32,
+    /// Read, and thrown away because what was read before was not worked off yet.
+    pub overrun: u32,
 }
 
 /// The converter on its bus, with `GAGES` of its channels in use.
 pub struct Acquisition<Spi, const GAGES: usize> {
     adc: Ads131m08<Injector<Spi>>,
     inputs: InputWatch<GAGES>,
-    settings: AdcSettings,
+    orders: Orders,
     state: AdcState,
     counters: ConversionCounters,
     next_index: SampleIndex,
@@ -90,18 +89,15 @@ pub struct Acquisition<Spi, const GAGES: usize> {
 }
 
 impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
-    const GAGES_FIT: () = assert!(GAGES >= 1 && GAGES <= CHANNELS);
-
     /// Gage k is on channel k.
-    const CHANNELS: ChannelMask = ChannelMask::new(u8::MAX >> (CHANNELS - GAGES));
+    const CHANNELS: ChannelMask = ChannelMask::first(GAGES);
 
     /// A converter that is not started yet; the first [`Acquisition::tick`] starts it.
     pub fn new(spi: Spi) -> Self {
-        let () = Self::GAGES_FIT;
         Self {
             adc: Ads131m08::new(Injector::new(spi)),
             inputs: InputWatch::new(),
-            settings: AdcSettings { channels: Self::CHANNELS, ..AdcSettings::default() },
+            orders: Orders::new(Self::CHANNELS),
             state: AdcState::Starting,
             counters: ConversionCounters::default(),
             next_index: SampleIndex::default(),
@@ -125,49 +121,24 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
         }
     }
 
-    /// Counts of conversions.
-    pub const fn counters(&self) -> ConversionCounters {
-        self.counters
+    /// Does from now on as ordered, and reports. A new era begins with a start of the converter, at the next [`Acquisition::tick`].
+    pub(crate) fn follow(&mut self, orders: Orders) -> Report {
+        if orders.injection != self.orders.injection {
+            self.adc.bus_mut().play(orders.injection);
+        }
+        if orders.era != self.orders.era {
+            self.state = AdcState::Starting;
+            self.silent = false;
+            self.last_start = None;
+        }
+        self.orders = orders;
+        Report { state: self.state(), counters: self.counters, next_index: self.next_index }
     }
 
-    /// The number that the next conversion gets.
-    pub const fn next_index(&self) -> SampleIndex {
-        self.next_index
-    }
-
-    /// The number that the last conversion got, whether it could be used or not.
-    pub const fn last_index(&self) -> SampleIndex {
-        SampleIndex::new(self.next_index.get().wrapping_sub(1))
-    }
-
-    /// Rate and gain asked for.
-    pub const fn settings(&self) -> &AdcSettings {
-        &self.settings
-    }
-
-    /// Asks for another rate and gain; the next [`Acquisition::tick`] starts the converter with them.
-    pub fn configure(&mut self, data_rate: DataRate, gain: Gain) {
-        self.settings.data_rate = data_rate;
-        self.settings.gain = gain;
-        self.restart();
-    }
-
-    /// Has the converter measure something else, from the next [`Acquisition::tick`] on.
-    pub(crate) fn connect(&mut self, input: Input) {
-        self.settings.input = input;
-        self.restart();
-    }
-
-    /// Has the next [`Acquisition::tick`] start the converter.
-    pub(crate) const fn restart(&mut self) {
-        self.state = AdcState::Starting;
-        self.silent = false;
-        self.last_start = None;
-    }
-
-    /// Plays a fault on the converter's bus, or none.
-    pub(crate) const fn play(&mut self, injection: Option<Injection>) {
-        self.adc.bus_mut().play(injection);
+    /// Notes that the last reading found no room, and is lost.
+    pub const fn note_overrun(&mut self) {
+        self.counters.overrun = self.counters.overrun.wrapping_add(1);
+        self.after_gap = true;
     }
 
     /// Watches the converter and starts it where it is due. Takes some milliseconds when it starts the converter, during
@@ -190,52 +161,45 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
     /// `announced` is when data-ready fell, as exactly as the board can tell, and becomes the sample's time; `now` is the
     /// board's clock. (In the emulator the converter lives outside and announces by its own clock.)
     ///
-    /// # Errors
-    ///
-    /// The fault that makes this conversion unusable. One disturbed reply is counted and forgiven; the state turns to
+    /// Where the reading bears a fault, this conversion is unusable. One disturbed reply is counted and forgiven; the state turns to
     /// [`AdcState::Faulty`] as described above.
-    pub fn on_data_ready(
-        &mut self,
-        now: DeviceTime,
-        announced: DeviceTime,
-    ) -> Option<Result<Sample<GAGES>, AdcFault>> {
-        if self.state != AdcState::Running {
+    pub fn on_data_ready(&mut self, now: DeviceTime, announced: DeviceTime) -> Option<Reading<GAGES>> {
+        if self.state != AdcState::Running || self.orders.ignore_data_ready {
             return None;
         }
-        let conversion = self.read(announced);
+        let mut reading = Reading::new(announced, now, self.orders.era);
+        let fault = self.read(announced, &mut reading.sample).err();
         self.last_read = Some(now);
         self.last_announced = Some(announced);
-        let index = self.next_index;
-        self.next_index = index.next();
-        Some(match conversion {
-            Ok((codes, repeating)) => {
-                self.corrupted_run = 0;
-                self.silent = false;
-                self.counters.read = self.counters.read.wrapping_add(1);
-                let after_gap = core::mem::take(&mut self.after_gap);
-                Ok(Sample { index, time: announced, codes, repeating, after_gap })
+        reading.index = self.next_index;
+        self.next_index = reading.index.next();
+        reading.fault = fault;
+        if let Some(fault) = fault {
+            self.after_gap = true;
+            self.counters.corrupted = self.counters.corrupted.wrapping_add(1);
+            self.corrupted_run += 1;
+            if !is_disturbance(fault) || self.corrupted_run >= LARGEST_CORRUPTED_RUN {
+                self.state = AdcState::Faulty(fault);
             }
-            Err(fault) => {
-                self.after_gap = true;
-                self.counters.corrupted = self.counters.corrupted.wrapping_add(1);
-                self.corrupted_run += 1;
-                if !is_disturbance(fault) || self.corrupted_run >= LARGEST_CORRUPTED_RUN {
-                    self.state = AdcState::Faulty(fault);
-                }
-                Err(fault)
-            }
-        })
+        } else {
+            self.corrupted_run = 0;
+            self.silent = false;
+            self.counters.read = self.counters.read.wrapping_add(1);
+            reading.sample.after_gap = core::mem::take(&mut self.after_gap);
+        }
+        Some(reading)
     }
 
     /// Reads the newest conversion, and which gages repeat themselves. The converter keeps up to two conversions for a reader that is
     /// late; after a pause the older one is thrown away, or every sample from then on would be one conversion old.
-    fn read(&mut self, announced: DeviceTime) -> Result<([AdcCode; GAGES], u16), AdcFault> {
+    fn read(&mut self, announced: DeviceTime, sample: &mut Sample<GAGES>) -> Result<(), AdcFault> {
+        let mut codes = [AdcCode::ZERO; CHANNELS];
         if self.count_lost_before(announced) > 0 {
             self.after_gap = true;
-            self.adc.read_conversion()?;
+            self.adc.read_codes(false, &mut codes)?;
         }
-        let conversion = self.read_or_ask()?;
-        match conversion.status {
+        let ask = self.is_to_be_asked();
+        match self.adc.read_codes(ask, &mut codes)? {
             // It was asked who it is, and has said so in time.
             None => self.in_doubt = false,
             // Without its data-ready bit a code is the one before, once more.
@@ -244,27 +208,30 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
             }
             Some(_) => {}
         }
-        let codes = core::array::from_fn(|gage| conversion.codes[gage]);
-        if self.settings.input != Input::Pins {
-            // The converter's own signals are as still as they are.
-            return Ok((codes, 0));
+        for (code, read) in sample.codes.iter_mut().zip(&codes) {
+            *code = *read;
         }
-        let repetition = self.inputs.push(&codes);
+        if self.orders.settings.input != Input::Pins {
+            // The converter's own signals are as still as they are.
+            return Ok(());
+        }
+        let repetition = self.inputs.push(&sample.codes);
         if repetition.of_all {
             self.in_doubt = true;
             self.until_question = 0;
         }
-        if self.in_doubt { Err(AdcFault::StaleConversion) } else { Ok((codes, repetition.lasting)) }
+        sample.repeating = repetition.lasting;
+        if self.in_doubt { Err(AdcFault::StaleConversion) } else { Ok(()) }
     }
 
-    fn read_or_ask(&mut self) -> Result<Conversion, AdcFault> {
+    /// Whether the converter is to be asked now who it is.
+    fn is_to_be_asked(&mut self) -> bool {
         if let Some(left) = self.until_question.checked_sub(1) {
             self.until_question = left;
-            self.adc.read_conversion()
-        } else {
-            self.until_question = (self.settings.data_rate.hertz() / (1_000_000 / QUESTION_MICROS)).max(1);
-            self.adc.read_conversion_and_ask()
+            return false;
         }
+        self.until_question = (self.orders.settings.data_rate.hertz() / (1_000_000 / QUESTION_MICROS)).max(1);
+        true
     }
 
     fn start(&mut self, now: DeviceTime, delay: &mut impl DelayNs) {
@@ -275,7 +242,7 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
         self.in_doubt = false;
         self.after_gap = true;
         self.inputs.restart();
-        self.state = match self.adc.start(delay, self.settings) {
+        self.state = match self.adc.start(delay, self.orders.settings) {
             Ok(()) => AdcState::Running,
             Err(fault) => AdcState::Faulty(fault),
         };
@@ -307,7 +274,7 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
     }
 
     fn period_micros(&self) -> u64 {
-        1_000_000 / u64::from(self.settings.data_rate.hertz())
+        1_000_000 / u64::from(self.orders.settings.data_rate.hertz())
     }
 }
 

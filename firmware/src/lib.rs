@@ -3,9 +3,9 @@
 //! ```text
 //!            data ready                                    bytes from the host
 //!                │                                                │
-//!        [`acquisition`] ── codes ──► [`sensor`] ◄── request ── [`session`]
-//!          [`adc`] driver    [`trial`], calibration, [`health`]   │
-//!                │                  [`decimator`]                  │
+//!        [`acquisition`] ─readings──► [`sensor`] ◄── request ── [`session`]
+//!          [`adc`] driver  ▲ [`trial`], calibration, [`health`]   │
+//!                │    [`handover`]  [`decimator`]                  │
 //!                │                        │                       │
 //!           any SPI bus                 moments                responses
 //!                                          │                       │
@@ -16,8 +16,10 @@
 //!
 //! | call | when | on the board |
 //! |---|---|---|
-//! | [`sensor::Sensor::on_data_ready`] | the converter announces a conversion | data-ready interrupt |
-//! | [`sensor::Sensor::tick`] | every few milliseconds | timer |
+//! | [`acquisition::Acquisition::on_data_ready`] | the converter announces a conversion | data-ready interrupt |
+//! | [`acquisition::Acquisition::tick`] | every few milliseconds | timer |
+//! | [`sensor::Sensor::take_in`] | a conversion was read | below those |
+//! | [`sensor::Sensor::tick`] | every few milliseconds | below those |
 //! | [`session::Session::on_byte`] | a byte came from the host | serial interrupt |
 //! | [`sensor::Sensor::answer`] | a request is complete | below the sample path |
 //! | [`session::Session::watch`] | every few milliseconds | below the sample path |
@@ -31,8 +33,10 @@ pub mod adc;
 pub mod baud;
 pub mod black_box;
 pub mod decimator;
+pub mod handover;
 pub mod health;
 pub mod long_count;
+pub mod polled;
 pub mod sensor;
 pub mod session;
 pub mod storage;

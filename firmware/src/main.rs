@@ -3,21 +3,24 @@
 //! | priority | task | interrupt | does |
 //! |---|---|---|---|
 //! | 4 | `link` | USART2 | moves bytes between the line and two queues, nothing else |
-//! | 3 | `sample` | EXTI9_5: data-ready | the sample path: read, take into the trial, apply, queue the outcome |
-//! | 3 | `tick` | SysTick, every 2 ms | watches over the converter, starts it where it is due |
-//! | 2 | `session` | TIM7, raised by hand | decodes requests, has them answered, puts samples together into frames |
+//! | 3 | `sample` | EXTI9_5: data-ready | reads the conversion and queues it |
+//! | 3 | `tick` | SysTick, every 2 ms | watches over the converter, starts it where it is due; feeds the watchdog |
+//! | 2 | `process` | TIM6_DAC, raised by hand | takes readings into the trial, applies the calibration, queues the outcome |
+//! | 1 | `session` | TIM7, raised by hand | decodes requests, has them answered, puts samples together into frames |
 //! | 0 | `idle` | none | reads the memory at the start; then solves trials and stores, in the background |
 //!
 //! **Why the link comes first.** The line keeps one byte for 11 µs, and the converter's start, which the tick does, takes up to
 //! 17 ms. The link's interrupt takes less than a microsecond and shares nothing, so it delays the sample path by no more than
 //! that, and no byte is lost whatever the sample path does.
 //!
-//! **What is locked.** The sensor is shared by `sample`, `tick`, `session` and `idle`. `session` holds it while a request is
-//! answered, which is at most the checksum of an uploaded calibration; `idle` while it gives a job's handle back, or the
-//! calibration that it has read. The memory is `idle`'s alone. Queues
-//! between two tasks need no lock. A sample of the stream that finds its queue full is dropped and counted.
+//! **What is locked.** `sample` and `tick` share the converter with those below for as long as it takes to exchange orders and report
+//! ([`Sensor::exchange`]), and nothing else holds data-ready up. The sensor is shared by `process`, `session` and `idle`: `session` holds
+//! it while a request is answered, `idle` while it gives a job's handle back, or the calibration that it has read. Meanwhile
+//! readings wait in their queue; one that finds it full is lost, and counted as overrun, and one that is not attended to before
+//! the next conversion is due is counted as late. The memory is `idle`'s alone. Queues between two tasks need no lock. A sample of
+//! the stream that finds its queue full is dropped and counted.
 //!
-//! TIM7 is used for its interrupt only; the timer itself stands still.
+//! TIM6 and TIM7 are used for their interrupts only; the timers themselves stand still.
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
 #[cfg(target_os = "none")]
@@ -36,9 +39,11 @@ fn main() -> std::process::ExitCode {
 #[cfg(target_os = "none")]
 #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
 mod app {
-    use core::sync::atomic::{AtomicU32, Ordering};
+    use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
+    use ftcal_firmware::acquisition::Acquisition;
     use ftcal_firmware::baud::DEFAULT_BAUD;
+    use ftcal_firmware::handover::Reading;
     use ftcal_firmware::sensor::{LinkCounters, Reaction, Sensor};
     use ftcal_firmware::session::{Order, Session};
     use ftcal_firmware::storage::checkpoint::TrialAccess;
@@ -66,13 +71,16 @@ mod app {
     const LINK_QUEUE: usize = 768;
     /// Samples of the stream that wait for the session: at 8000 a second, 4 ms.
     const MOMENT_QUEUE: usize = 32;
+    /// Readings that wait to be worked off: at 32 000 a second, half a millisecond.
+    const READING_QUEUE: usize = 16;
 
     type Store = &'static mut Bins<GAGES, HIGHER>;
     type Job = SolveJob<Store, GAGES, HIGHER>;
 
     #[shared]
     struct Shared {
-        sensor: Sensor<Converter, Store, GAGES, HIGHER>,
+        acquisition: Acquisition<Converter, GAGES>,
+        sensor: Sensor<Store, GAGES, HIGHER>,
         /// A trial on its way to be solved, and the request that its outcome answers.
         job: Option<(RequestId, Job)>,
         /// Something to be stored, and the request that asks for it.
@@ -81,9 +89,8 @@ mod app {
         requests: (),
         /// The outcome on its way to the host.
         outcome: Option<(RequestId, Response)>,
-        /// Where the sample path leaves what it has to say: its two tasks have the same priority.
-        #[lock_free]
-        moments: Producer<'static, Moment>,
+        /// The converter was looked after, and the sensor has not heard of it.
+        has_ticked: AtomicBool,
         dropped_samples: AtomicU32,
         vitality: Vitality,
     }
@@ -92,6 +99,9 @@ mod app {
     struct Local {
         link: Link,
         data_ready: DataReady,
+        readings_in: Producer<'static, Reading<GAGES>>,
+        readings_out: Consumer<'static, Reading<GAGES>>,
+        moments_in: Producer<'static, Moment>,
         watchdog: Watchdog,
         start: Start,
         conversation: Conversation,
@@ -148,26 +158,29 @@ mod app {
         store: Bins<GAGES, HIGHER> = Bins::new(),
         received: Queue<u8, LINK_QUEUE> = Queue::new(),
         to_send: Queue<u8, LINK_QUEUE> = Queue::new(),
+        readings: Queue<Reading<GAGES>, READING_QUEUE> = Queue::new(),
         moments: Queue<Moment, MOMENT_QUEUE> = Queue::new(),
     ])]
     fn init(context: init::Context) -> (Shared, Local) {
         let (received_in, received_out) = context.local.received.split();
         let (to_send_in, to_send_out) = context.local.to_send.split();
+        let (readings_in, readings_out) = context.local.readings.split();
         let (moments_in, moments_out) = context.local.moments.split();
 
         let queues = LinkQueues { received: received_in, to_send: to_send_out };
         let board = set_up(context.device, context.core.SYST, queues);
         defmt::info!("ftcal {=str}, clock: {}", env!("CARGO_PKG_VERSION"), board.clock);
 
-        let mut sensor = Sensor::new(board.converter, context.local.store, board.clock);
+        let mut sensor = Sensor::new(context.local.store, board.clock);
         sensor.note_start(&board.start.diagnosis());
         let shared = Shared {
+            acquisition: Acquisition::new(board.converter),
             sensor,
             job: None,
             store_job: None,
             requests: (),
             outcome: None,
-            moments: moments_in,
+            has_ticked: AtomicBool::new(false),
             dropped_samples: AtomicU32::new(0),
             vitality: Vitality::new(),
         };
@@ -182,6 +195,9 @@ mod app {
         let local = Local {
             link: board.link,
             data_ready: board.data_ready,
+            readings_in,
+            readings_out,
+            moments_in,
             watchdog: board.watchdog,
             start: board.start,
             keeper: Keeper::new(board.flash),
@@ -200,43 +216,81 @@ mod app {
     }
 
     /// The converter announces a conversion.
-    #[task(binds = EXTI9_5, priority = 3, local = [data_ready], shared = [sensor, moments, &dropped_samples])]
+    #[task(binds = EXTI9_5, priority = 3, local = [data_ready, readings_in], shared = [acquisition])]
     fn sample(mut context: sample::Context) {
         let now = time_base::now();
-        let moment = context.local.data_ready.handle(now, |announced| {
-            context.shared.sensor.lock(|sensor| sensor.on_data_ready(now, announced))
+        let readings = context.local.readings_in;
+        context.shared.acquisition.lock(|acquisition| {
+            let reading =
+                context.local.data_ready.handle(now, |announced| acquisition.on_data_ready(now, announced));
+            if let Some(reading) = reading.flatten()
+                && readings.enqueue(reading).is_err()
+            {
+                acquisition.note_overrun();
+            }
         });
-        queue_moment(moment.flatten(), context.shared.moments, context.shared.dropped_samples);
+        rtic::pend(Interrupt::TIM6_DAC);
     }
 
     /// Time passes.
-    #[task(binds = SysTick, priority = 3, local = [watchdog], shared = [sensor, moments, &dropped_samples, &vitality])]
+    #[task(binds = SysTick, priority = 3, local = [watchdog], shared = [acquisition, &has_ticked, &vitality])]
     fn tick(mut context: tick::Context) {
         time_base::follow();
         context.shared.vitality.report(Task::Tick);
         if context.shared.vitality.all_have_run() {
             context.local.watchdog.feed();
         }
-        let moment =
-            context.shared.sensor.lock(|sensor| sensor.tick(time_base::now(), &mut time_base::Delay));
-        queue_moment(moment, context.shared.moments, context.shared.dropped_samples);
-        // Samples that wait for others may have waited long enough, and the session is to show that it is alive.
-        rtic::pend(Interrupt::TIM7);
+        context
+            .shared
+            .acquisition
+            .lock(|acquisition| acquisition.tick(time_base::now(), &mut time_base::Delay));
+        context.shared.has_ticked.store(true, Ordering::Release);
+        rtic::pend(Interrupt::TIM6_DAC);
     }
 
-    fn queue_moment(moment: Option<Moment>, moments: &mut Producer<'_, Moment>, dropped: &AtomicU32) {
-        let Some(moment) = moment else { return };
-        if moments.enqueue(moment).is_err() {
-            dropped.fetch_add(1, Ordering::Relaxed);
-        }
-        rtic::pend(Interrupt::TIM7);
+    /// There are readings, or time has passed.
+    #[task(
+        binds = TIM6_DAC,
+        priority = 2,
+        local = [readings_out, moments_in],
+        shared = [sensor, acquisition, &has_ticked, &dropped_samples, &vitality]
+    )]
+    fn process(context: process::Context) {
+        let process::SharedResources {
+            mut sensor,
+            mut acquisition,
+            has_ticked,
+            dropped_samples,
+            vitality,
+            ..
+        } = context.shared;
+        vitality.report(Task::Process);
+        let moments = context.local.moments_in;
+        let mut queue = |moment: Option<Moment>| {
+            let Some(moment) = moment else { return };
+            if moments.enqueue(moment).is_err() {
+                dropped_samples.fetch_add(1, Ordering::Relaxed);
+            }
+            rtic::pend(Interrupt::TIM7);
+        };
+        sensor.lock(|sensor| {
+            while let Some(reading) = context.local.readings_out.dequeue() {
+                queue(sensor.take_in(&reading, time_base::now()));
+            }
+            if has_ticked.swap(false, Ordering::Acquire) {
+                acquisition.lock(|acquisition| sensor.exchange(acquisition));
+                queue(sensor.tick(time_base::now()));
+                // Samples that wait for others may have waited long enough, and the session is to show that it is alive.
+                rtic::pend(Interrupt::TIM7);
+            }
+        });
     }
 
     /// There is something to read, to answer or to send. One message at a time: the next is made when the one before is in
     /// the line's queue, and where that is full, when the link has emptied it.
     #[task(
         binds = TIM7,
-        priority = 2,
+        priority = 1,
         local = [conversation, start],
         shared = [sensor, job, store_job, requests, outcome, &dropped_samples, &vitality]
     )]
@@ -346,7 +400,7 @@ mod app {
 
     impl<SharedSensor, Requests> TrialAccess<Store, GAGES, HIGHER> for Access<SharedSensor, Requests>
     where
-        SharedSensor: Mutex<T = Sensor<Converter, Store, GAGES, HIGHER>>,
+        SharedSensor: Mutex<T = Sensor<Store, GAGES, HIGHER>>,
         Requests: Mutex,
     {
         fn with<Answer>(&mut self, act: impl FnOnce(&mut Trial<Store, GAGES, HIGHER>) -> Answer) -> Answer {

@@ -6,7 +6,6 @@ mod keeping;
 
 use core::ops::DerefMut;
 
-use embedded_hal::delay::DelayNs;
 use embedded_hal::spi::SpiDevice;
 use ftcal_shared::estimation::application::{RealTimeCalibration, UnusableCalibration};
 use ftcal_shared::estimation::bins::Bins;
@@ -20,7 +19,9 @@ use ftcal_shared::wire::{
 };
 
 use crate::acquisition::{Acquisition, Sample};
+use crate::adc::ChannelMask;
 use crate::decimator::{Decimator, group_delay};
+use crate::handover::{Reading, RemoteConverter};
 use crate::health::{Health, Observed, SelfTest, is_disturbance};
 use crate::storage::checkpoint::TrialAccess;
 use crate::storage::job::StoreJob;
@@ -49,9 +50,9 @@ pub struct LinkCounters {
     pub broken_frames: u32,
 }
 
-/// Converter, trial and calibration of one sensor with `GAGES` gages.
-pub struct Sensor<Spi, Store, const GAGES: usize, const HIGHER: usize> {
-    acquisition: Acquisition<Spi, GAGES>,
+/// Trial, calibration and health of one sensor with `GAGES` gages, and the other end of its converter.
+pub struct Sensor<Store, const GAGES: usize, const HIGHER: usize> {
+    converter: RemoteConverter,
     trial: Trial<Store, GAGES, HIGHER>,
     calibration: Option<LoadedCalibration<GAGES>>,
     kept: KeptCalibrations,
@@ -64,6 +65,8 @@ pub struct Sensor<Spi, Store, const GAGES: usize, const HIGHER: usize> {
     abandoned_streams: u32,
     decimator: Decimator,
     clock: ClockSource,
+    /// Readings that were not attended to before the next conversion was due.
+    late_samples: u32,
 }
 
 /// A calibration as it came, and in the form that the sample path applies.
@@ -85,15 +88,14 @@ impl<const GAGES: usize> LoadedCalibration<GAGES> {
     }
 }
 
-impl<Spi, Store, const GAGES: usize, const HIGHER: usize> Sensor<Spi, Store, GAGES, HIGHER>
+impl<Store, const GAGES: usize, const HIGHER: usize> Sensor<Store, GAGES, HIGHER>
 where
-    Spi: SpiDevice<u8>,
     Store: DerefMut<Target = Bins<GAGES, HIGHER>>,
 {
-    /// An uncalibrated sensor whose converter the first [`Sensor::tick`] starts.
-    pub fn new(spi: Spi, store: Store, clock: ClockSource) -> Self {
+    /// An uncalibrated sensor whose converter is not started yet.
+    pub fn new(store: Store, clock: ClockSource) -> Self {
         Self {
-            acquisition: Acquisition::new(spi),
+            converter: RemoteConverter::new(const { ChannelMask::first(GAGES) }),
             trial: Trial::new(store),
             calibration: None,
             kept: KeptCalibrations::default(),
@@ -105,6 +107,7 @@ where
             abandoned_streams: 0,
             decimator: Decimator::new(Decimation::default()),
             clock,
+            late_samples: 0,
         }
     }
 
@@ -113,18 +116,23 @@ where
         &mut self.trial
     }
 
-    /// Watches over the converter; see [`Acquisition::tick`]. Where a wrench is being streamed and the converter is at
-    /// fault, the host is told so at every tick, instead of hearing nothing.
-    pub fn tick(&mut self, now: DeviceTime, delay: &mut impl DelayNs) -> Option<Moment> {
-        self.acquisition.tick(now, delay);
+    /// Tells the converter what the sensor wants of it, and hears how it is. To be called at every tick, before [`Sensor::tick`], and after
+    /// whatever else the sensor was called for. The interrupt that reads the converter waits for this, so it is all that the two share.
+    pub fn exchange<Spi: SpiDevice<u8>>(&mut self, acquisition: &mut Acquisition<Spi, GAGES>) {
+        self.converter.exchange(acquisition);
+    }
+
+    /// Notes how the converter is. Where a wrench is being streamed and the converter is at fault, the host is told so at every tick,
+    /// instead of hearing nothing.
+    pub fn tick(&mut self, now: DeviceTime) -> Option<Moment> {
         self.note_conditions();
-        match self.acquisition.state() {
+        match self.converter.state() {
             AdcState::Faulty(fault) => {
                 self.health.note_fault(false);
                 self.observe(now, &Observed::Fault(fault));
                 (self.stream == StreamKind::Wrench).then(|| {
                     Moment::Silence(SilentMoment {
-                        next: self.acquisition.next_index(),
+                        next: self.converter.next_index(),
                         time: now,
                         status: self.status_word().frame_bits(),
                         cause: self.cause_of(fault),
@@ -138,27 +146,31 @@ where
         }
     }
 
-    /// The sample path: reads the conversion that the converter announces, takes it into the trial, and applies the
-    /// calibration. Allocates nothing and waits for nothing but the bus transfer. For the two times see
-    /// [`Acquisition::on_data_ready`].
-    pub fn on_data_ready(&mut self, now: DeviceTime, announced: DeviceTime) -> Option<Moment> {
-        if self.self_test.ignores_data_ready() {
+    /// The sample path, once a conversion is read: takes it into the trial, and applies the calibration. Allocates nothing and waits for
+    /// nothing. What was read before the converter was last told to start is passed over.
+    pub fn take_in(&mut self, reading: &Reading<GAGES>, now: DeviceTime) -> Option<Moment> {
+        if !self.converter.is_current(reading) {
             return None;
         }
-        match self.acquisition.on_data_ready(now, announced)? {
+        let waited = now.as_micros().saturating_sub(reading.read_at.as_micros());
+        if waited > u64::from(self.period_nanos() / 1000) {
+            self.late_samples = self.late_samples.wrapping_add(1);
+        }
+        match reading.outcome() {
             Ok(sample) => {
-                self.trial.offer(sample.index, &sample.codes);
-                let measurement = self.measure(&sample);
+                self.trial.offer(reading.index, &sample.codes);
+                let measurement = self.measure(sample);
                 self.observe(now, &Observed::Sample(&sample.codes, self.health.live()));
-                self.moment(&sample, now, measurement)
+                self.moment(reading, sample, measurement)
             }
             Err(fault) => {
                 self.health.note_fault(is_disturbance(fault));
                 self.observe(now, &Observed::Fault(fault));
                 let measurement = Measurement::Invalid(self.cause_of(fault));
-                let index = self.acquisition.last_index();
                 match self.stream {
-                    StreamKind::Wrench => self.wrench_moment(index, announced, now, measurement),
+                    StreamKind::Wrench => {
+                        self.wrench_moment(reading.index, reading.announced, reading.read_at, measurement)
+                    }
                     StreamKind::Codes | StreamKind::Off => None,
                 }
             }
@@ -175,7 +187,7 @@ where
         let served = match request {
             Request::Status => Ok(Response::Status(self.status(now, link))),
             Request::ConfigureAdc(data_rate, gain) => self.require_peace().map(|()| {
-                self.acquisition.configure(data_rate, gain);
+                self.converter.configure(data_rate, gain);
                 self.health.relearn(data_rate);
                 self.decimator = Decimator::new(self.decimator.decimation());
                 Response::Done
@@ -238,8 +250,8 @@ where
 
     fn moment(
         &mut self,
+        reading: &Reading<GAGES>,
         sample: &Sample<GAGES>,
-        now: DeviceTime,
         measurement: Measurement,
     ) -> Option<Moment> {
         match self.stream {
@@ -247,11 +259,13 @@ where
             // What is played is not to be recorded.
             StreamKind::Codes if self.self_test.is_running() => None,
             StreamKind::Codes => Some(Moment::Codes(CodesFrame {
-                index: sample.index,
-                time: sample.time,
+                index: reading.index,
+                time: reading.announced,
                 codes: GageList::from_slice(&sample.codes).ok()?,
             })),
-            StreamKind::Wrench => self.wrench_moment(sample.index, sample.time, now, measurement),
+            StreamKind::Wrench => {
+                self.wrench_moment(reading.index, reading.announced, reading.read_at, measurement)
+            }
         }
     }
 
@@ -268,13 +282,18 @@ where
             stride: 1,
             time,
             announced,
-            period_nanos: 1_000_000_000 / self.acquisition.settings().data_rate.hertz(),
+            period_nanos: self.period_nanos(),
             status: self.status_word().frame_bits(),
             parity: self.health.chi_square(),
             basis: self.health.basis(),
             measurement,
         };
         self.decimator.push(&moment).map(Moment::Wrench)
+    }
+
+    /// Nominal time from one conversion to the next.
+    fn period_nanos(&self) -> u32 {
+        1_000_000_000 / self.converter.settings().data_rate.hertz()
     }
 
     /// Why there is no wrench while the converter has this fault.
@@ -286,16 +305,16 @@ where
     fn observe(&mut self, now: DeviceTime, observed: &Observed<'_, GAGES>) {
         if self.self_test.is_running() {
             let watched = self.health.watched();
-            if self.self_test.observe(now, observed, watched, &mut self.acquisition) {
+            if self.self_test.observe(now, observed, watched, &mut self.converter) {
                 self.health.set(StatusBit::SelfTest, false);
-                self.health.relearn(self.acquisition.settings().data_rate);
+                self.health.relearn(self.converter.settings().data_rate);
             }
         }
     }
 
     /// Every sample is measured, streamed or not: health is to be known all the time.
     fn measure(&mut self, sample: &Sample<GAGES>) -> Measurement {
-        let gain = self.acquisition.settings().gain;
+        let gain = self.converter.settings().gain;
         let (usable, axes, identity) = match &self.calibration {
             None => (Err(InvalidCause::Uncalibrated), 0, 0),
             Some(loaded) if loaded.gain != gain => (Err(InvalidCause::GainChanged), 0, 0),
@@ -315,7 +334,7 @@ where
 
     /// Takes a calibration into use. The one before stays in use where the new one is refused.
     fn load(&mut self, upload: CalibrationUpload) -> Result<(), Rejection> {
-        let gain = self.acquisition.settings().gain;
+        let gain = self.converter.settings().gain;
         let same = |loaded: &LoadedCalibration<GAGES>| loaded.upload == upload && loaded.gain == gain;
         if self.calibration.as_ref().is_some_and(same) {
             // Once more, because the answer was lost: tare and noise are of this very calibration.
@@ -325,7 +344,7 @@ where
     }
 
     fn use_calibration(&mut self, loaded: LoadedCalibration<GAGES>) {
-        let data_rate = self.acquisition.settings().data_rate;
+        let data_rate = self.converter.settings().data_rate;
         self.health.watch(ParitySpace::new(&loaded.real_time.matrix()), None, data_rate);
         self.health.start_anew(loaded.upload.identity);
         self.calibration = Some(loaded);
@@ -338,21 +357,21 @@ where
     fn output(&self) -> Output {
         let decimation = self.decimator.decimation();
         Output {
-            data_rate: self.acquisition.settings().data_rate,
+            data_rate: self.converter.settings().data_rate,
             decimation,
             group_delay_conversions: group_delay(decimation),
         }
     }
 
     fn status(&self, now: DeviceTime, link: LinkCounters) -> Status {
-        let counters = self.acquisition.counters();
-        let settings = self.acquisition.settings();
+        let counters = self.converter.counters();
+        let settings = self.converter.settings();
         #[expect(clippy::cast_possible_truncation, reason = "at most 12 gages")]
         let gages = GAGES as u8;
         Status {
             gages,
             clock: self.clock,
-            adc: self.acquisition.state(),
+            adc: self.converter.state(),
             data_rate: settings.data_rate,
             gain: settings.gain,
             stream: self.stream,
@@ -366,6 +385,8 @@ where
             broken_frames: link.broken_frames,
             kept: self.kept,
             abandoned_streams: self.abandoned_streams,
+            overrun_conversions: counters.overrun,
+            late_samples: self.late_samples,
         }
     }
 }
@@ -388,10 +409,9 @@ fn saturated_channels<const GAGES: usize>(codes: &[AdcCode; GAGES]) -> u16 {
 }
 
 /// Where nobody else works with the sensor meanwhile.
-impl<Spi, Store, const GAGES: usize, const HIGHER: usize> TrialAccess<Store, GAGES, HIGHER>
-    for Sensor<Spi, Store, GAGES, HIGHER>
+impl<Store, const GAGES: usize, const HIGHER: usize> TrialAccess<Store, GAGES, HIGHER>
+    for Sensor<Store, GAGES, HIGHER>
 where
-    Spi: SpiDevice<u8>,
     Store: DerefMut<Target = Bins<GAGES, HIGHER>>,
 {
     fn with<Answer>(&mut self, act: impl FnOnce(&mut Trial<Store, GAGES, HIGHER>) -> Answer) -> Answer {

@@ -11,6 +11,8 @@ use core::sync::atomic::{AtomicU8, Ordering};
 pub enum Task {
     /// The tick, which watches over the converter.
     Tick,
+    /// The sample path below the interrupt that reads the converter.
+    Process,
     /// The conversation with the host.
     Session,
     /// The background, which solves trials.
@@ -24,7 +26,7 @@ pub struct Vitality {
 }
 
 impl Vitality {
-    const ALL: u8 = Task::Tick.bit() | Task::Session.bit() | Task::Background.bit();
+    const ALL: u8 = Task::Tick.bit() | Task::Process.bit() | Task::Session.bit() | Task::Background.bit();
 
     /// Nobody has reported yet.
     pub const fn new() -> Self {
@@ -56,7 +58,7 @@ impl Task {
 mod tests {
     use super::{Task, Vitality};
 
-    const TASKS: [Task; 3] = [Task::Tick, Task::Session, Task::Background];
+    const TASKS: [Task; 4] = [Task::Tick, Task::Process, Task::Session, Task::Background];
 
     #[test]
     fn whoever_stays_out_is_missed_whatever_the_others_do() {

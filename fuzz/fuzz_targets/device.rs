@@ -5,7 +5,8 @@ mod framed;
 
 use embedded_hal::delay::DelayNs;
 use embedded_hal::spi::{ErrorKind, ErrorType, Operation, SpiDevice};
-use ftcal_firmware::sensor::{LinkCounters, Reaction, Sensor};
+use ftcal_firmware::polled::PolledSensor;
+use ftcal_firmware::sensor::{LinkCounters, Reaction};
 use ftcal_firmware::session::{Order, Session};
 use ftcal_firmware::storage::job::{StoreJob, Stored};
 use ftcal_firmware::storage::memory::StorageError;
@@ -40,7 +41,7 @@ impl DelayNs for NoDelay {
 }
 
 struct Board {
-    sensor: Sensor<EmptyBus, Box<Bins<GAGES, HIGHER>>, GAGES, HIGHER>,
+    polled: PolledSensor<EmptyBus, Box<Bins<GAGES, HIGHER>>, GAGES, HIGHER>,
     session: Session,
     batcher: Batcher,
     now: DeviceTime,
@@ -49,7 +50,7 @@ struct Board {
 impl Board {
     fn new() -> Self {
         Self {
-            sensor: Sensor::new(EmptyBus, Box::new(Bins::new()), ClockSource::Simulated),
+            polled: PolledSensor::new(EmptyBus, Box::new(Bins::new()), ClockSource::Simulated),
             session: Session::new(),
             batcher: Batcher::new(),
             now: DeviceTime::default(),
@@ -68,7 +69,7 @@ impl Board {
                 self.session.rate_changed(baud, self.now);
                 response(&mut self.session, id, Response::Done)
             }
-            Order::Serve(id, request) => match self.sensor.answer(request, self.now, LinkCounters::default())
+            Order::Serve(id, request) => match self.polled.sensor.answer(request, self.now, LinkCounters::default())
             {
                 Reaction::Respond(answer) => response(&mut self.session, id, answer),
                 Reaction::Diagnose => response(&mut self.session, id, Response::Done),
@@ -78,12 +79,12 @@ impl Board {
                         StoreJob::PrepareTrial { rank, .. } => Stored::Prepared { rank },
                         _ => Stored::Failed(StorageError::Flash),
                     };
-                    let answer = self.sensor.finish_storing(stored);
+                    let answer = self.polled.sensor.finish_storing(stored);
                     response(&mut self.session, id, answer)
                 }
                 Reaction::Solve(mut job) => {
                     let answer = job.response();
-                    self.sensor.finish_solving(job);
+                    self.polled.sensor.finish_solving(job);
                     response(&mut self.session, id, answer)
                 }
             },
@@ -92,9 +93,9 @@ impl Board {
 
     fn live(&mut self, micros: u64) -> Option<ToHost> {
         self.now = DeviceTime::from_micros(self.now.as_micros() + micros);
-        let mut moment = self.sensor.tick(self.now, &mut NoDelay);
+        let mut moment = self.polled.tick(self.now, &mut NoDelay);
         if self.session.watch(self.now).end_stream {
-            self.sensor.abandon_stream();
+            self.polled.sensor.abandon_stream();
         }
         self.batcher.next(self.now, true, || moment.take())
     }

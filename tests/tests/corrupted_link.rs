@@ -11,7 +11,8 @@ use ftcal::link::client::Client;
 use ftcal::link::error::{ClientError, LinkError};
 use ftcal::link::frame::{Frame, Measured, WrenchSample};
 use ftcal::link::transport::{Transport, TransportError};
-use ftcal_firmware::sensor::{LinkCounters, Reaction, Sensor};
+use ftcal_firmware::polled::PolledSensor;
+use ftcal_firmware::sensor::{LinkCounters, Reaction};
 use ftcal_firmware::session::{Order, Session};
 use ftcal_firmware::storage::job::{StoreJob, Stored};
 use ftcal_firmware::stream::{Batcher, Measurement, Moment, WrenchMoment};
@@ -65,7 +66,7 @@ impl DelayNs for NoDelay {
 
 /// The sensor at the end of the line, in virtual time.
 struct Device {
-    sensor: Sensor<EmptyBus, Box<Bins<GAGES, HIGHER>>, GAGES, HIGHER>,
+    polled: PolledSensor<EmptyBus, Box<Bins<GAGES, HIGHER>>, GAGES, HIGHER>,
     session: Session,
     batcher: Batcher,
     now: DeviceTime,
@@ -79,7 +80,7 @@ struct Device {
 impl Device {
     fn new() -> Self {
         Self {
-            sensor: Sensor::new(EmptyBus, Box::new(Bins::new()), ClockSource::Simulated),
+            polled: PolledSensor::new(EmptyBus, Box::new(Bins::new()), ClockSource::Simulated),
             session: Session::new(),
             batcher: Batcher::new(),
             now: DeviceTime::default(),
@@ -116,15 +117,15 @@ impl Device {
             self.streaming = kind == StreamKind::Wrench;
             self.batcher.clear();
         }
-        let response = match self.sensor.answer(request, self.now, LinkCounters::default()) {
+        let response = match self.polled.sensor.answer(request, self.now, LinkCounters::default()) {
             Reaction::Respond(response) => response,
             Reaction::Store(StoreJob::PrepareTrial { rank, .. }) => {
-                self.sensor.finish_storing(Stored::Prepared { rank })
+                self.polled.sensor.finish_storing(Stored::Prepared { rank })
             }
             Reaction::Diagnose | Reaction::Store(_) => panic!("nobody asks for that"),
             Reaction::Solve(mut job) => {
                 let response = job.response();
-                self.sensor.finish_solving(job);
+                self.polled.sensor.finish_solving(job);
                 response
             }
         };
@@ -138,7 +139,7 @@ impl Device {
     fn live(&mut self) -> Option<ToHost> {
         self.now = DeviceTime::from_micros(self.now.as_micros() + u64::from(PERIOD_MICROS));
         if self.session.watch(self.now).end_stream {
-            self.sensor.abandon_stream();
+            self.polled.sensor.abandon_stream();
             self.streaming = false;
         }
         let index = self.next;
@@ -215,7 +216,7 @@ impl Transport for Line {
         while self.to_host.is_empty() && self.elapsed() < deadline {
             // The tick, of which a converter that is missing makes nothing, only now and then.
             if self.device.now.as_micros().is_multiple_of(10_000) {
-                self.device.sensor.tick(self.device.now, &mut NoDelay);
+                self.device.polled.tick(self.device.now, &mut NoDelay);
             }
             if let Some(message) = self.device.live() {
                 self.send(&message);

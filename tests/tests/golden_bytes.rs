@@ -141,11 +141,13 @@ fn responses() {
         broken_frames: 5,
         kept: KeptCalibrations { current: KeptCalibration::Calibration(300), previous: Some(2) },
         abandoned_streams: 6,
+        overrun_conversions: 7,
+        late_samples: 8,
     };
     #[rustfmt::skip]
     let mut golden = vec![1, 8, 1, 2, 2, 0xB4, 0x24, 2, 6, 2, 1, 7];
     golden.extend_from_slice(&TRIAL_BYTES);
-    golden.extend_from_slice(&[0xC0, 0x84, 0x3D, 1, 2, 3, 4, 5, 6, 0xAC, 0x02, 1, 2, 6]);
+    golden.extend_from_slice(&[0xC0, 0x84, 0x3D, 1, 2, 3, 4, 5, 6, 0xAC, 0x02, 1, 2, 6, 7, 8]);
     assert_response(Response::Status(status.clone()), &golden);
 
     let kept = KeptCalibrations { current: KeptCalibration::OtherFormat(9), previous: None };
@@ -153,7 +155,7 @@ fn responses() {
         Status { clock: ClockSource::Crystal, adc: AdcState::Running, calibration: None, kept, ..status };
     let mut golden = vec![1, 8, 0, 1, 2, 6, 2, 0];
     golden.extend_from_slice(&TRIAL_BYTES);
-    golden.extend_from_slice(&[0xC0, 0x84, 0x3D, 1, 2, 3, 4, 5, 3, 9, 0, 6]);
+    golden.extend_from_slice(&[0xC0, 0x84, 0x3D, 1, 2, 3, 4, 5, 3, 9, 0, 6, 7, 8]);
     assert_response(Response::Status(running), &golden);
 
     let mut golden = vec![2];

@@ -140,17 +140,39 @@ impl<Spi: SpiDevice<u8>> Ads131m08<Spi> {
     }
 
     fn read(&mut self, ask: bool) -> Result<Conversion, AdcFault> {
+        let mut codes = [AdcCode::ZERO; CHANNELS];
+        let status = self.read_codes(ask, &mut codes)?;
+        Ok(Conversion { status, codes })
+    }
+
+    /// As [`Ads131m08::read_conversion`], or [`Ads131m08::read_conversion_and_ask`], for the sample path: the codes are written where they
+    /// are to be, and the status comes alone. To move a whole [`Conversion`] inside of a result costs as much as to check it.
+    ///
+    /// # Errors
+    /// As those; the codes are undefined then.
+    pub(crate) fn read_codes(
+        &mut self,
+        ask: bool,
+        codes: &mut [AdcCode; CHANNELS],
+    ) -> Result<Option<Status>, AdcFault> {
         let asked = core::mem::replace(&mut self.asked, ask);
-        let reply = Reply::open(&self.exchange(if ask { &ASKING_FRAME } else { &NULL_FRAME })?)?;
-        let codes = reply.channels.map(AdcCode::from_be_bytes);
-        if asked {
-            return check_answer(reply.response).map(|()| Conversion { status: None, codes });
+        let mut received = BLANK_FRAME;
+        self.exchange(if ask { &ASKING_FRAME } else { &NULL_FRAME }, &mut received)?;
+        let Reply { response, channels } = Reply::open(&received)?;
+        let status = if asked {
+            check_answer(response)?;
+            None
+        } else {
+            let status = Status::from_bits(response);
+            if let Some(fault) = status.fault() {
+                return Err(fault);
+            }
+            Some(status)
+        };
+        for (code, bytes) in codes.iter_mut().zip(channels) {
+            *code = AdcCode::from_be_bytes(*bytes);
         }
-        let status = Status::from_bits(reply.response);
-        match status.fault() {
-            Some(fault) => Err(fault),
-            None => Ok(Conversion { status: Some(status), codes }),
-        }
+        Ok(status)
     }
 
     /// Throws away the two conversions that the converter keeps. To be called when reading resumes after a pause, or
@@ -167,10 +189,11 @@ impl<Spi: SpiDevice<u8>> Ads131m08<Spi> {
     /// Resets the converter, which may be locked, and makes sure that it was.
     fn reset(&mut self, delay: &mut impl DelayNs) -> Result<(), AdcFault> {
         // What comes back in these two frames answers commands sent before this start, if any.
-        self.exchange(&Command::Unlock.frame())?;
-        self.exchange(&Command::Reset.frame())?;
+        let mut frame = BLANK_FRAME;
+        self.exchange(&Command::Unlock.frame(), &mut frame)?;
+        self.exchange(&Command::Reset.frame(), &mut frame)?;
         delay.delay_us(RESET_US);
-        let frame = self.exchange(&NULL_FRAME)?;
+        self.exchange(&NULL_FRAME, &mut frame)?;
         // Before the checksum: the smaller members of the family have theirs in an earlier word.
         if let Some(id) = other_family_member(&frame) {
             return Err(AdcFault::WrongIdentity { id });
@@ -221,17 +244,20 @@ impl<Spi: SpiDevice<u8>> Ads131m08<Spi> {
 
     /// Sends a command, and a NULL command to fetch its response, which comes one frame late.
     fn response_to(&mut self, command: Command) -> Result<u16, AdcFault> {
-        self.exchange(&command.frame())?;
-        Ok(Reply::open(&self.exchange(&NULL_FRAME)?)?.response)
+        let mut received = BLANK_FRAME;
+        self.exchange(&command.frame(), &mut received)?;
+        self.exchange(&NULL_FRAME, &mut received)?;
+        Ok(Reply::open(&received)?.response)
     }
 
     /// One chip-select frame. What is received is unchecked.
-    fn exchange(&mut self, sent: &Frame) -> Result<Frame, AdcFault> {
-        let mut received = [[0; 3]; FRAME_WORDS];
-        self.spi.transfer(received.as_flattened_mut(), sent.as_flattened()).map_err(|_| AdcFault::Bus)?;
-        Ok(received)
+    fn exchange(&mut self, sent: &Frame, received: &mut Frame) -> Result<(), AdcFault> {
+        self.spi.transfer(received.as_flattened_mut(), sent.as_flattened()).map_err(|_| AdcFault::Bus)
     }
 }
+
+/// Nothing received yet.
+const BLANK_FRAME: Frame = [[0; 3]; FRAME_WORDS];
 
 /// What is wrong with a converter that answers this when it was asked who it is, while it converts.
 const fn check_answer(id: u16) -> Result<(), AdcFault> {

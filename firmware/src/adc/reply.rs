@@ -5,25 +5,26 @@ use ftcal_shared::fault::AdcFault;
 use super::checksum::checksum;
 use super::{CHANNELS, Frame, Word, from_word};
 
-/// A frame from the converter whose checksum is right.
+/// A frame from the converter whose checksum is right. It stays where it was received: to move a frame about costs more than to
+/// check it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Reply {
+pub(super) struct Reply<'a> {
     /// Response to the command of the frame before.
     pub(super) response: u16,
     /// The codes of all channels, in the converter's byte order.
-    pub(super) channels: [Word; CHANNELS],
+    pub(super) channels: &'a [Word; CHANNELS],
 }
 
-impl Reply {
+impl<'a> Reply<'a> {
     /// Checks the frame's checksum.
     ///
     /// A frame of equal bytes is told apart from a corrupted one, because the remedy differs: it is what the processor
     /// reads from a converter that is missing or without power, the line being pulled one way or the other.
-    pub(super) fn open(frame: &Frame) -> Result<Self, AdcFault> {
+    pub(super) fn open(frame: &'a Frame) -> Result<Self, AdcFault> {
         let [covered @ .., sum] = frame;
         if checksum(covered) == from_word(*sum) {
-            let [response, channels @ ..] = *covered;
-            Ok(Self { response: from_word(response), channels })
+            let [response, channels @ ..] = covered;
+            Ok(Self { response: from_word(*response), channels })
         } else if frame.iter().all(|word| *word == [0x00; 3]) || frame.iter().all(|word| *word == [0xFF; 3]) {
             Err(AdcFault::NotResponding)
         } else {
@@ -49,7 +50,7 @@ mod tests {
 
     #[test]
     fn a_whole_frame_opens() {
-        assert_eq!(Reply::open(&whole()), Ok(Reply { response: 0x85FF, channels: [[0x12, 0x34, 0x56]; 8] }));
+        assert_eq!(Reply::open(&whole()), Ok(Reply { response: 0x85FF, channels: &[[0x12, 0x34, 0x56]; 8] }));
     }
 
     /// The last byte is padding behind the checksum: it carries nothing, so it is not looked at.

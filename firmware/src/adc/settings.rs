@@ -2,6 +2,8 @@
 
 use ftcal_shared::units::{DataRate, Gain};
 
+use super::CHANNELS;
+
 /// A set of channels: bit n stands for channel n.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(target_os = "none", derive(defmt::Format))]
@@ -14,6 +16,12 @@ impl ChannelMask {
     /// The channels whose bit is set.
     pub const fn new(bits: u8) -> Self {
         Self(bits)
+    }
+
+    /// The first so many channels.
+    pub const fn first(count: usize) -> Self {
+        assert!(count >= 1 && count <= CHANNELS, "the converter has eight channels");
+        Self(u8::MAX >> (CHANNELS - count))
     }
 
     /// One bit for each channel in the set.

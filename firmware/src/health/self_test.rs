@@ -12,15 +12,14 @@
 //! that counts as faulty from it is started anew. All of it takes about a second. Meanwhile no sample is a wrench, nothing of it is latched
 //! in the status word, and peaks and tare are what they were. Counters of lost and corrupted conversions count what was played.
 
-use embedded_hal::spi::SpiDevice;
 use ftcal_shared::fault::AdcFault;
 use ftcal_shared::units::{AdcCode, DeviceTime};
 use ftcal_shared::wire::health::{StatusBit, StatusWord};
 use ftcal_shared::wire::{AdcState, Found, PlayedFault, SelfTestOutcome, SelfTestPhase, SelfTestReport};
 
 use super::Injection;
-use crate::acquisition::Acquisition;
 use crate::adc::Input;
+use crate::handover::RemoteConverter;
 
 /// How far the code of a test signal or of a short circuit may be off: 1/128 of the range, which is 6 % of a test signal.
 const TOLERANCE_COUNTS: i32 = 1 << 16;
@@ -107,11 +106,6 @@ impl<const GAGES: usize> SelfTest<GAGES> {
         self.report.phase == SelfTestPhase::Running
     }
 
-    /// Whether data-ready is not to be attended to.
-    pub(crate) fn ignores_data_ready(&self) -> bool {
-        self.step == Step::Play && self.played == Some(PlayedFault::SilentDataReady)
-    }
-
     /// Begins, with these gages in use, of which those of `watched` are held against each other.
     pub(crate) fn start(&mut self, now: DeviceTime, in_use: u16, watched: u16) {
         *self = Self::new();
@@ -124,12 +118,12 @@ impl<const GAGES: usize> SelfTest<GAGES> {
     }
 
     /// Takes in what there was to be seen, and goes on. True when that was the end of it.
-    pub(crate) fn observe<Spi: SpiDevice<u8>>(
+    pub(crate) fn observe(
         &mut self,
         now: DeviceTime,
         observed: &Observed<'_, GAGES>,
         watched: u16,
-        acquisition: &mut Acquisition<Spi, GAGES>,
+        converter: &mut RemoteConverter,
     ) -> bool {
         let Some(played) = self.played.filter(|_| self.is_running()) else { return false };
         if let Observed::Fault(fault) = observed {
@@ -145,7 +139,7 @@ impl<const GAGES: usize> SelfTest<GAGES> {
                 };
                 self.step = Step::Recover(left);
                 if left == 0 {
-                    return self.play(now, played, watched, acquisition);
+                    return self.play(now, played, watched, converter);
                 } else if elapsed > RECOVERY_MICROS {
                     return self.give_up();
                 }
@@ -153,9 +147,9 @@ impl<const GAGES: usize> SelfTest<GAGES> {
             Step::Play => {
                 if is_found(played, observed) {
                     let micros = u32::try_from(elapsed).unwrap_or(u32::MAX);
-                    return self.end(now, played, Found::After { micros }, acquisition);
+                    return self.end(now, played, Found::After { micros }, converter);
                 } else if elapsed > PATIENCE_MICROS {
-                    return self.end(now, played, Found::Nothing, acquisition);
+                    return self.end(now, played, Found::Nothing, converter);
                 }
             }
             Step::Read(left) => {
@@ -166,53 +160,55 @@ impl<const GAGES: usize> SelfTest<GAGES> {
                     self.step = Step::Read(left - 1);
                     if left == 1 {
                         let found = self.compare(played);
-                        return self.end(now, played, found, acquisition);
+                        return self.end(now, played, found, converter);
                     }
                 } else if elapsed > RECOVERY_MICROS {
                     let found = Found::NotWell(self.fault);
-                    return self.end(now, played, found, acquisition);
+                    return self.end(now, played, found, converter);
                 }
             }
         }
         false
     }
 
-    fn play<Spi: SpiDevice<u8>>(
+    fn play(
         &mut self,
         now: DeviceTime,
         played: PlayedFault,
         watched: u16,
-        acquisition: &mut Acquisition<Spi, GAGES>,
+        converter: &mut RemoteConverter,
     ) -> bool {
         self.since = now;
         self.fault = None;
         self.sums = [0; GAGES];
         if let Some(input) = input(played) {
-            acquisition.connect(input);
+            converter.connect(input);
             self.step = Step::Read(AVERAGED);
             return false;
         }
         if played == PlayedFault::JumpingGage && watched & 1 << self.gage == 0 {
-            return self.end(now, played, Found::NotApplicable, acquisition);
+            return self.end(now, played, Found::NotApplicable, converter);
         }
-        acquisition.play(injection(played, self.gage));
+        converter.play(injection(played, self.gage));
+        converter.ignore_data_ready(played == PlayedFault::SilentDataReady);
         self.step = Step::Play;
         false
     }
 
     /// Writes down what was found, and goes on to the next fault. True where there is none.
-    fn end<Spi: SpiDevice<u8>>(
+    fn end(
         &mut self,
         now: DeviceTime,
         played: PlayedFault,
         found: Found,
-        acquisition: &mut Acquisition<Spi, GAGES>,
+        converter: &mut RemoteConverter,
     ) -> bool {
-        acquisition.play(None);
+        converter.play(None);
+        converter.ignore_data_ready(false);
         if input(played).is_some() {
-            acquisition.connect(Input::Pins);
-        } else if matches!(acquisition.state(), AdcState::Faulty(_)) {
-            acquisition.restart();
+            converter.connect(Input::Pins);
+        } else if matches!(converter.state(), AdcState::Faulty(_)) {
+            converter.restart();
         }
         // There is room for all that are played.
         let _ = self.report.outcomes.push(SelfTestOutcome { played, found });

@@ -2,7 +2,6 @@
 
 use core::ops::DerefMut;
 
-use embedded_hal::spi::SpiDevice;
 use ftcal_shared::estimation::bins::Bins;
 use ftcal_shared::estimation::parity::{GageNeeded, ParitySpace};
 use ftcal_shared::units::DeviceTime;
@@ -14,9 +13,8 @@ use ftcal_shared::wire::{
 
 use super::{Sensor, prepared};
 
-impl<Spi, Store, const GAGES: usize, const HIGHER: usize> Sensor<Spi, Store, GAGES, HIGHER>
+impl<Store, const GAGES: usize, const HIGHER: usize> Sensor<Store, GAGES, HIGHER>
 where
-    Spi: SpiDevice<u8>,
     Store: DerefMut<Target = Bins<GAGES, HIGHER>>,
 {
     /// The status word as it is now; see [`ftcal_shared::wire::health`].
@@ -83,7 +81,7 @@ where
 
     /// Makes wrenches without a gage, or with all again.
     fn carry_on(&mut self, gage: Option<u8>) -> Result<(), Rejection> {
-        let data_rate = self.acquisition.settings().data_rate;
+        let data_rate = self.converter.settings().data_rate;
         let loaded = self.calibration.as_mut().ok_or(Rejection::Uncalibrated)?;
         let mut real_time = prepared(&loaded.upload)?;
         let mut space = ParitySpace::new(&real_time.matrix());
@@ -102,12 +100,12 @@ where
 
     /// Brings into the status word what lasts.
     pub(super) fn note_conditions(&mut self) {
-        let gain = self.acquisition.settings().gain;
+        let gain = self.converter.settings().gain;
         let other_gain = self.calibration.as_ref().is_some_and(|calibration| calibration.gain != gain);
         let memory_failed =
             matches!(self.kept.current, KeptCalibration::Unreadable | KeptCalibration::Unusable);
         let conditions = [
-            (StatusBit::AdcFault, self.acquisition.state() != AdcState::Running),
+            (StatusBit::AdcFault, self.converter.state() != AdcState::Running),
             (StatusBit::Uncalibrated, self.calibration.is_none()),
             (StatusBit::GainChanged, other_gain),
             (StatusBit::TrialRunning, self.trial.status().phase == TrialPhase::Running),

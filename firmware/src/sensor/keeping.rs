@@ -2,7 +2,6 @@
 
 use core::ops::DerefMut;
 
-use embedded_hal::spi::SpiDevice;
 use ftcal_shared::estimation::bins::Bins;
 use ftcal_shared::wire::{KeptCalibration, MemoryRequest, Rejection, Response, StreamKind};
 
@@ -13,9 +12,8 @@ use crate::storage::job::{StoreJob, Stored};
 use crate::storage::keeper::Found;
 use crate::storage::memory::Kept;
 
-impl<Spi, Store, const GAGES: usize, const HIGHER: usize> Sensor<Spi, Store, GAGES, HIGHER>
+impl<Store, const GAGES: usize, const HIGHER: usize> Sensor<Store, GAGES, HIGHER>
 where
-    Spi: SpiDevice<u8>,
     Store: DerefMut<Target = Bins<GAGES, HIGHER>>,
 {
     /// Takes up what was found after the reset: to be called once, as soon as the memory is read. The converter is set for the trial
@@ -29,7 +27,7 @@ where
         };
         settings = settings.or(kept.settings);
         if let Some(StoredCalibration { gain, .. }) = kept.calibration {
-            let data_rate = self.acquisition.settings().data_rate;
+            let data_rate = self.converter.settings().data_rate;
             settings = settings.or(Some(Settings { data_rate, gain }));
         }
         self.configure(settings);
@@ -44,7 +42,7 @@ where
 
     fn configure(&mut self, settings: Option<Settings>) {
         if let Some(Settings { data_rate, gain }) = settings {
-            self.acquisition.configure(data_rate, gain);
+            self.converter.configure(data_rate, gain);
             self.health.relearn(data_rate);
         }
     }
@@ -95,7 +93,7 @@ where
     }
 
     fn settings(&self) -> Settings {
-        let &AdcSettings { data_rate, gain, .. } = self.acquisition.settings();
+        let &AdcSettings { data_rate, gain, .. } = self.converter.settings();
         Settings { data_rate, gain }
     }
 

@@ -68,8 +68,12 @@ fn write_words(out: &mut dyn Write, hello: &Hello, status: &Status, identity: &I
     writeln!(out, "settings     {} samples/s, gain {}", status.data_rate.hertz(), status.gain.factor())?;
     writeln!(
         out,
-        "conversions  {} read, {} lost, {} corrupted",
-        status.conversions, status.lost_conversions, status.corrupted_conversions
+        "conversions  {} read, {} lost, {} corrupted; {} overran those before, {} attended to late",
+        status.conversions,
+        status.lost_conversions,
+        status.corrupted_conversions,
+        status.overrun_conversions,
+        status.late_samples
     )?;
     writeln!(out, "calibration  {calibration}")?;
     writeln!(out, "memory       {kept}{previous}; stored {} times", identity.stores)?;
@@ -137,6 +141,8 @@ struct Conversions {
     read: u32,
     lost: u32,
     corrupted: u32,
+    overrun: u32,
+    late: u32,
 }
 
 #[derive(Serialize)]
@@ -206,6 +212,8 @@ impl Info {
                 read: status.conversions,
                 lost: status.lost_conversions,
                 corrupted: status.corrupted_conversions,
+                overrun: status.overrun_conversions,
+                late: status.late_samples,
             },
             calibration: status.calibration.map(hexadecimal),
             memory: Memory {

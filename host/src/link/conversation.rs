@@ -22,8 +22,9 @@ use super::error::{ClientError, LinkError};
 use super::frame::{Frame, KnownCalibration, WrenchSample};
 use super::transport::Transport;
 
-/// How long the greeting may take: a sensor that was left at another rate finds back within five seconds.
-const GREETING: Duration = Duration::from_secs(6);
+/// How long the greeting may take: a sensor that was left at another rate finds back within five seconds, hears the next
+/// repetition half a second later, and what it answers may still end what it said at the wrong rate, and be lost with that.
+const GREETING: Duration = Duration::from_secs(7);
 /// When an unanswered request is sent again.
 const REPETITION: Duration = Duration::from_millis(500);
 /// How long a host that is being sent samples may be silent: a fraction of what the sensor allows.

@@ -1,8 +1,8 @@
 //! The simulated board: the firmware's own application, fed by the bench instead of by hardware.
 //!
 //! ```text
-//! bench ──data ready──► Sensor ──moments──► Batcher ──frames──► line ──► client
-//!   ▲──── SPI bytes ─────┘ ▲──requests── Session ◄─────────────────────────┘
+//! bench ──data ready──► Acquisition ──readings──► Sensor ──moments──► Batcher ──frames──► line ──► client
+//!   ▲──── SPI bytes ─────┘                          ▲──requests── Session ◄─────────────────────────┘
 //! ```
 //!
 //! It does what the real board does, in virtual time: one conversion after the other, a tick every few milliseconds, a
@@ -17,7 +17,8 @@ use std::time::Duration;
 
 use embedded_hal::delay::DelayNs;
 use ftcal_firmware::baud::{DEFAULT_BAUD, divisor};
-use ftcal_firmware::sensor::{LinkCounters, Reaction, Sensor};
+use ftcal_firmware::polled::PolledSensor;
+use ftcal_firmware::sensor::{LinkCounters, Reaction};
 use ftcal_firmware::session::{Order, Session};
 use ftcal_firmware::storage::job::StoreJob;
 use ftcal_firmware::storage::keeper::Keeper;
@@ -184,7 +185,7 @@ type Store<const GAGES: usize, const HIGHER: usize> = Box<Bins<GAGES, HIGHER>>;
 /// A board with `GAGES` gages.
 struct GageBoard<const GAGES: usize, const HIGHER: usize> {
     bench: SharedBench,
-    sensor: Sensor<SharedBench, Store<GAGES, HIGHER>, GAGES, HIGHER>,
+    polled: PolledSensor<SharedBench, Store<GAGES, HIGHER>, GAGES, HIGHER>,
     session: Session,
     keeper: Keeper<SimulatedFlash>,
     solving: Option<(RequestId, SolveJob<Store<GAGES, HIGHER>, GAGES, HIGHER>)>,
@@ -200,11 +201,11 @@ impl<const GAGES: usize, const HIGHER: usize> GageBoard<GAGES, HIGHER> {
     fn new(bench: SharedBench, flash: SimulatedFlash) -> Self {
         let store = Box::new(Bins::new());
         let mut keeper = Keeper::new(flash);
-        let mut sensor = Sensor::new(bench.clone(), store, ClockSource::Simulated);
-        let found = keeper.start(&mut sensor);
-        sensor.restore(found);
+        let mut polled = PolledSensor::new(bench.clone(), store, ClockSource::Simulated);
+        let found = keeper.start(&mut polled.sensor);
+        polled.sensor.restore(found);
         Self {
-            sensor,
+            polled,
             bench,
             session: Session::new(),
             keeper,
@@ -245,7 +246,7 @@ impl<const GAGES: usize, const HIGHER: usize> GageBoard<GAGES, HIGHER> {
     fn watch_host(&mut self, now: DeviceTime) {
         let silence = self.session.watch(now);
         if silence.end_stream {
-            self.sensor.abandon_stream();
+            self.polled.sensor.abandon_stream();
         }
         if silence.fall_back {
             self.change_rate(DEFAULT_BAUD);
@@ -262,7 +263,7 @@ impl<const GAGES: usize, const HIGHER: usize> GageBoard<GAGES, HIGHER> {
             self.moments.clear();
             self.batcher.clear();
         }
-        match self.sensor.answer(request, self.now(), counters) {
+        match self.polled.sensor.answer(request, self.now(), counters) {
             Reaction::Respond(response) => self.respond(id, response),
             Reaction::Solve(job) => self.solving = Some((id, job)),
             Reaction::Diagnose => self.respond(id, Response::Diagnosis(DIAGNOSIS)),
@@ -305,24 +306,24 @@ impl<const GAGES: usize, const HIGHER: usize> Board for GageBoard<GAGES, HIGHER>
         if self.now() >= self.next_tick {
             let now = self.now();
             self.next_tick = DeviceTime::from_micros(now.as_micros() + TICK_MICROS);
-            let moment = self.sensor.tick(now, &mut VirtualDelay { bench: &self.bench });
+            let moment = self.polled.tick(now, &mut VirtualDelay { bench: &self.bench });
             self.stream(moment);
             self.watch_host(now);
         }
         if let Some((id, mut job)) = self.solving.take() {
             let response = job.response();
-            self.sensor.finish_solving(job);
+            self.polled.sensor.finish_solving(job);
             self.respond(id, response);
         }
         if let Some((id, job)) = self.storing.take() {
-            let response = self.sensor.finish_storing(self.keeper.run(&job));
+            let response = self.polled.sensor.finish_storing(self.keeper.run(&job));
             self.respond(id, response);
         }
-        self.keeper.attend(self.now(), &mut self.sensor);
+        self.keeper.attend(self.now(), &mut self.polled.sensor);
         let announced = self.bench.with(Bench::next_conversion);
         let now = self.now();
         if announced {
-            let moment = self.sensor.on_data_ready(now, now);
+            let moment = self.polled.on_data_ready(now, now);
             self.stream(moment);
         }
         self.line.carry_until(now);

@@ -19,23 +19,23 @@ use super::motion::Turning;
 
 /// What somebody at the bench understands.
 pub const HELP: &str = "\
-hang MASS_KG [AX AY [AZ]]   hang this mass on the sensor at this moment arm (metre, sensor frame)
-unload                      take the mass off
-hold X Y [Z]                hold still, with the force along this direction of the sensor frame
-turn                        turn through all directions (a planar sensor: in the plane, counterclockwise)
-fault stuck CHANNEL         the channel repeats its reading
-fault open CHANNEL          the gage's wire is broken
-fault saturated CHANNEL     the channel stands at the end of its range
-fault drifting CHANNEL COUNTS_PER_S  the gage's zero drifts
-fault debonded CHANNEL KEPT the gage has come off: it keeps this share of its signal, 0 to 1
-fault dead CHANNEL          the gage has no supply
-fault noisy CHANNEL COUNTS  the channel has this much more noise
-fault bit-errors P          bits flip on the converter's bus with this probability
-fault no-data-ready P       conversions are not announced with this probability
-fault late-reply            the converter's replies come one frame late
-fault identity              the converter says that it is another part
-fault missing               there is no converter
-fault none                  take back every fault";
+hang MASS_KG [AX AY [AZ]]              hang this mass on the sensor at this moment arm (metre, sensor frame)
+unload                                 take the mass off
+hold X Y [Z]                           hold still, with the force along this direction of the sensor frame
+turn                                   turn through all directions (a planar sensor: in the plane, counterclockwise)
+fault stuck CHANNEL                    the channel repeats its reading
+fault open CHANNEL                     the gage's wire is broken
+fault saturated CHANNEL                the channel stands at the end of its range
+fault drifting CHANNEL COUNTS_PER_S    the gage's zero drifts
+fault debonded CHANNEL KEPT            the gage has come off: it keeps this share of its signal, 0 to 1
+fault dead CHANNEL                     the gage has no supply
+fault noisy CHANNEL COUNTS             the channel has this much more noise
+fault bit-errors P                     bits flip on the converter's bus with this probability
+fault no-data-ready P                  conversions are not announced with this probability
+fault late-reply                       the converter's replies come one frame late
+fault identity                         the converter says that it is another part
+fault missing                          there is no converter
+fault none                             take back every fault";
 
 /// Something to do at the bench.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -240,9 +240,9 @@ fn push<const GAGES: usize, const HIGHER: usize>(
         return;
     }
     if samples == 0 {
-        // The first sample is the pivot, which takes the offset out of all sums.
+        // The first sample is the pivot, which takes the offset out of all sums. They are empty already.
         for bin in bins.iter_mut() {
-            bin.restart(*codes);
+            bin.set_pivot(*codes);
         }
     }
     if let Err(refusal) = bins[quietness as usize].push(codes) {

@@ -176,6 +176,11 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
         }
     }
 
+    /// Moves an accumulator that is empty to another pivot: a fraction of the work of [`Moments::restart`].
+    pub const fn set_pivot(&mut self, pivot: [AdcCode; GAGES]) {
+        self.codes.pivot = pivot;
+    }
+
     /// Empties the accumulator in place and moves it to a new pivot.
     pub fn restart(&mut self, pivot: [AdcCode; GAGES]) {
         self.codes = CodeSums::new(pivot);

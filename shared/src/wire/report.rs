@@ -42,6 +42,10 @@ pub struct Status {
     pub kept: KeptCalibrations,
     /// Streams that were ended because the host said nothing any more.
     pub abandoned_streams: u32,
+    /// Conversions that were read, and thrown away because those before were not worked off yet.
+    pub overrun_conversions: u32,
+    /// Samples that were not attended to before the next conversion was due. They are as good as others, but late.
+    pub late_samples: u32,
 }
 
 /// At which rate wrenches go out.

@@ -103,5 +103,5 @@ fn a_silent_converter_is_told_at_every_tick_until_it_is_heard() {
     assert!(matches!(status.adc, AdcState::Faulty(_)));
     rig.bench.with(Bench::clear_faults);
     rig.run(0.7);
-    assert_eq!(rig.sensor.status_word(), StatusWord::NONE);
+    assert_eq!(rig.polled.sensor.status_word(), StatusWord::NONE);
 }

@@ -7,13 +7,13 @@ use ftcal::simulator::scenario::ScenarioKind;
 use ftcal::simulator::sensor::{SoftwareSensor, Wrench};
 use ftcal_firmware::acquisition::Sample;
 use ftcal_firmware::health::Health;
-use ftcal_firmware::sensor::Sensor;
+use ftcal_firmware::polled::PolledSensor;
 use ftcal_firmware::stream::Measurement;
 use ftcal_shared::estimation::application::RealTimeCalibration;
 use ftcal_shared::estimation::bins::Bins;
 use ftcal_shared::estimation::moments::higher_moment_count;
 use ftcal_shared::estimation::parity::ParitySpace;
-use ftcal_shared::units::{AdcCode, DataRate, DeviceTime, Dof, SampleIndex};
+use ftcal_shared::units::{AdcCode, DataRate, Dof};
 use ftcal_shared::wire::health::{StatusBit, StatusWord};
 use ftcal_shared::wire::{ClockSource, HealthRequest, InvalidCause, Rejection, Request, Response};
 use nalgebra::{DMatrix, DVector, UnitVector3, Vector3};
@@ -156,7 +156,7 @@ fn check_carry_on<const GAGES: usize, const HIGHER: usize>(kind: ScenarioKind, s
         rig.bench.with(Bench::clear_faults);
         assert_eq!(rig.health(HealthRequest::CarryOn(None)).carrying_on_without, None);
         rig.run(0.3);
-        assert_eq!(rig.sensor.status_word(), StatusWord::NONE);
+        assert_eq!(rig.polled.sensor.status_word(), StatusWord::NONE);
     }
 }
 
@@ -172,15 +172,9 @@ fn without_a_gage_it_measures_right_within_the_noise_that_is_left() {
 fn a_gage_that_is_needed_cannot_be_left_out() {
     let sensor = random_sensor(Dof::SpatialForce, 3, 4);
     let bench = SharedBench::new(Bench::new(sensor.clone(), 1));
-    let sensor_alone = Sensor::new(bench.clone(), Box::new(Bins::new()), ClockSource::Simulated);
+    let polled = PolledSensor::new(bench.clone(), Box::new(Bins::new()), ClockSource::Simulated);
     let matrix = sensor.shape().clone().try_inverse().expect("of full rank").transpose();
-    let mut rig = Rig::<3, { higher_moment_count(3) }> {
-        bench,
-        sensor: sensor_alone,
-        next_tick: 0,
-        truth: sensor,
-        matrix,
-    };
+    let mut rig = Rig::<3, { higher_moment_count(3) }> { bench, polled, next_tick: 0, truth: sensor, matrix };
     let carry_on = |rig: &mut Rig<3, { higher_moment_count(3) }>, gage| {
         rig.ask(Request::Health(HealthRequest::CarryOn(Some(gage))))
     };
@@ -190,7 +184,7 @@ fn a_gage_that_is_needed_cannot_be_left_out() {
     assert_eq!(carry_on(&mut rig, 0), Response::Rejected(Rejection::GageNeeded));
     assert_eq!(carry_on(&mut rig, 3), Response::Rejected(Rejection::NoSuchGage));
     rig.run(1.0);
-    assert_eq!(rig.sensor.status_word(), StatusBit::Unwatched.word());
+    assert_eq!(rig.polled.sensor.status_word(), StatusBit::Unwatched.word());
     assert_eq!(rig.health(HealthRequest::Read).parity, None);
 }
 
@@ -221,9 +215,7 @@ fn in_an_hour_of_noise_no_sample_is_lost_and_no_gage_suspected() {
             #[expect(clippy::cast_possible_truncation, reason = "this is the rounding")]
             AdcCode::saturating(counts.round() as i64)
         });
-        let index = SampleIndex::new(sample);
-        let time = DeviceTime::from_micros(u64::from(sample) * 1000);
-        let sample = Sample { index, time, codes, repeating: 0, after_gap: false };
+        let sample = Sample { codes, repeating: 0, after_gap: false };
         lost += u32::from(health.measure(Ok(&calibration), 0, &sample).is_err());
         suspected += u32::from(health.live().contains(StatusBit::GageSuspect));
         chi_square += f64::from(health.chi_square().unwrap_or(1.0));

@@ -7,7 +7,8 @@ use ftcal::simulator::bus::SharedBench;
 use ftcal::simulator::operator::turn;
 use ftcal::simulator::scenario::{Scenario, ScenarioKind};
 use ftcal::simulator::sensor::SoftwareSensor;
-use ftcal_firmware::sensor::{LinkCounters, Reaction, Sensor};
+use ftcal_firmware::polled::PolledSensor;
+use ftcal_firmware::sensor::{LinkCounters, Reaction};
 use ftcal_firmware::storage::job::{StoreJob, Stored};
 use ftcal_firmware::stream::{Measurement, Moment};
 use ftcal_shared::estimation::bins::Bins;
@@ -29,7 +30,7 @@ const MODEL_TOLERANCE: f64 = 4e-3;
 /// A sensor with the truth under it.
 pub(super) struct Rig<const GAGES: usize, const HIGHER: usize> {
     pub(super) bench: SharedBench,
-    pub(super) sensor: Sensor<SharedBench, Box<Bins<GAGES, HIGHER>>, GAGES, HIGHER>,
+    pub(super) polled: PolledSensor<SharedBench, Box<Bins<GAGES, HIGHER>>, GAGES, HIGHER>,
     pub(super) next_tick: u64,
     pub(super) truth: SoftwareSensor,
     pub(super) matrix: DMatrix<f64>,
@@ -67,14 +68,14 @@ impl<const GAGES: usize, const HIGHER: usize> Rig<GAGES, HIGHER> {
         });
         let shape = truth.shape();
         let matrix = (shape * shape.transpose()).try_inverse().expect("of full rank") * shape;
-        let sensor = Sensor::new(bench.clone(), Box::new(Bins::new()), ClockSource::Simulated);
-        let mut rig = Self { bench, sensor, next_tick: 0, truth: truth.clone(), matrix };
+        let polled = PolledSensor::new(bench.clone(), Box::new(Bins::new()), ClockSource::Simulated);
+        let mut rig = Self { bench, polled, next_tick: 0, truth: truth.clone(), matrix };
         rig.ask(Request::ConfigureAdc(rate, Gain::X128));
         rig.ask(Request::Stream(StreamKind::Wrench));
         rig.run(0.05);
         rig.ask(Request::UploadCalibration(rig.upload()));
         rig.run(0.7);
-        assert_eq!(rig.sensor.status_word(), StatusWord::NONE, "well");
+        assert_eq!(rig.polled.sensor.status_word(), StatusWord::NONE, "well");
         rig.health(HealthRequest::ClearLatched);
         rig
     }
@@ -94,11 +95,11 @@ impl<const GAGES: usize, const HIGHER: usize> Rig<GAGES, HIGHER> {
 
     pub(super) fn ask(&mut self, request: Request) -> Response {
         let now = self.bench.with(|bench| bench.now());
-        match self.sensor.answer(request, now, LinkCounters::default()) {
+        match self.polled.sensor.answer(request, now, LinkCounters::default()) {
             Reaction::Respond(response) => response,
             // A trial without checkpoints.
             Reaction::Store(StoreJob::PrepareTrial { rank, .. }) => {
-                self.sensor.finish_storing(Stored::Prepared { rank })
+                self.polled.sensor.finish_storing(Stored::Prepared { rank })
             }
             Reaction::Solve(_) | Reaction::Store(_) | Reaction::Diagnose => {
                 panic!("nothing of this is asked here")
@@ -123,12 +124,12 @@ impl<const GAGES: usize, const HIGHER: usize> Rig<GAGES, HIGHER> {
         if self.now_micros() >= self.next_tick {
             let now = self.bench.with(|bench| bench.now());
             self.next_tick = now.as_micros() + TICK_MICROS;
-            frames.extend(self.sensor.tick(now, &mut Wait(&self.bench)));
+            frames.extend(self.polled.tick(now, &mut Wait(&self.bench)));
         }
         let announced = self.bench.with(Bench::next_conversion);
         let (now, wrench) = self.bench.with(|bench| (bench.now(), bench.true_wrench()));
         if announced {
-            frames.extend(self.sensor.on_data_ready(now, now));
+            frames.extend(self.polled.on_data_ready(now, now));
         }
         let measurements = frames
             .into_iter()
@@ -138,7 +139,11 @@ impl<const GAGES: usize, const HIGHER: usize> Rig<GAGES, HIGHER> {
                 Moment::Codes(_) => panic!("wrenches were asked for"),
             })
             .collect();
-        Step { measurements, truth: wrench.components(self.truth.dof()), word: self.sensor.status_word() }
+        Step {
+            measurements,
+            truth: wrench.components(self.truth.dof()),
+            word: self.polled.sensor.status_word(),
+        }
     }
 
     pub(super) fn run(&mut self, seconds: f64) {

@@ -55,7 +55,7 @@ fn a_self_test_finds_every_fault_and_leaves_the_sensor_as_it_was() {
     assert_eq!(after.latched.bits() & !with_self_test.bits(), 0, "{:?}", after.latched);
     assert_eq!((after.peak_since_start, after.carrying_on_without), (before.peak_since_start, None));
     rig.run(0.5);
-    assert_eq!(rig.sensor.status_word(), StatusWord::NONE);
+    assert_eq!(rig.polled.sensor.status_word(), StatusWord::NONE);
     let step = rig.step();
     let allowed = rig.noise() * 6.0;
     for measurement in step.measurements {

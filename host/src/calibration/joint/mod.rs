@@ -31,7 +31,7 @@ use nalgebra::{DMatrix, DVector};
 use self::arms::Base;
 use self::decision::{Candidate, decide, strain};
 use self::observation::Observation;
-use self::refinement::{Fit, Problem, State, refine};
+use self::refinement::{Problem, State, refine, refine_all};
 use super::alignment::{Alignment, MODEL_ERROR, orient};
 use super::fusion::{Stack, stack};
 use super::handedness::{self, MARGIN, MOST_UNDECIDED, PossibleHands, possible_hands};
@@ -171,16 +171,14 @@ fn by_arms(problem: &Problem, base: &Base, arms: &Stack) -> Vec<Candidate> {
     for observation in &mut blind.observations {
         observation.sights.clear();
     }
-    let mut fits: Vec<Fit> =
-        base.starts(problem, arms).into_iter().map(|start| refine(&blind, start)).collect();
-    fits.sort_by(|a, b| a.misfit.total_cmp(&b.misfit));
+    let fits = refine_all(&blind, base.starts(problem, arms));
     let least = fits.first().map_or(0.0, |fit| fit.misfit);
     let allowed = least + MARGIN * strain(&blind, least);
     let equivalents = fits
         .iter()
         .filter(|fit| fit.misfit <= allowed)
         .flat_map(|fit| base.equivalents(problem, &fit.state, arms));
-    equivalents.map(|start| Candidate::of(problem, refine(problem, start))).collect()
+    refine_all(problem, equivalents).into_iter().map(|fit| Candidate::of(problem, fit)).collect()
 }
 
 /// The answers that the known loads give where they orient every trial: all combinations of the hands they leave.
@@ -210,7 +208,7 @@ fn by_known_loads(
             .collect();
     }
     let starts = combinations.into_iter().map(|orientations| problem.start(orientations, arms));
-    Ok(starts.map(|start| Candidate::of(problem, refine(problem, start))).collect())
+    Ok(refine_all(problem, starts).into_iter().map(|fit| Candidate::of(problem, fit)).collect())
 }
 
 /// The part of the oriented trials that an answer does not explain, relative: ‖R S − μ[I Xᵀ]S̃‖ / ‖S‖.

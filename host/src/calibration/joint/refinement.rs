@@ -17,8 +17,14 @@ use super::super::fusion::Stack;
 use super::super::known_load::squashing_matrix;
 use super::observation::Observation;
 
-/// Steps after which a start that has not settled is left as it is.
+/// Steps after which a start that has not settled is left as it is: most are hopeless.
 const MOST_STEPS: usize = 30;
+
+/// How often the steps of a promising one begin anew: along a narrow valley they are short.
+const MOST_ROUNDS: usize = 20;
+
+/// A start is promising whose sum of squares is so many times the least, or that to be expected.
+const PROMISING: f64 = 1e3;
 
 /// A step that lowers the sum of squares by less than this, relative and absolute, is the last.
 const LEAST_GAIN: f64 = 1e-7;
@@ -58,6 +64,8 @@ pub struct Fit {
     pub state: State,
     /// The sum of squares.
     pub misfit: f64,
+    /// Whether no further step would lower it by anything that counts.
+    pub settled: bool,
     /// The normal matrix there: for each trial turns, arm and mass, then S̃ column by column.
     pub normal: DMatrix<f64>,
 }
@@ -271,6 +279,7 @@ pub fn refine(problem: &Problem, start: State) -> Fit {
     let mut misfit = problem.sum_of_squares(&state);
     let (mut normal, mut gradient) = problem.normal_equations(&state);
     let mut damping = FIRST_DAMPING;
+    let mut settled = false;
     for _ in 0..MOST_STEPS {
         let mut lower = None;
         while lower.is_none() && damping < LAST_DAMPING {
@@ -284,15 +293,40 @@ pub fn refine(problem: &Problem, start: State) -> Fit {
                 .filter(|(next_misfit, _)| *next_misfit <= misfit);
             damping = if lower.is_some() { (damping / 10.0).max(1e-12) } else { damping * 10.0 };
         }
-        let Some((next_misfit, next)) = lower else { break };
+        let Some((next_misfit, next)) = lower else {
+            settled = true;
+            break;
+        };
         let gain = misfit - next_misfit;
         (state, misfit) = (next, next_misfit);
         (normal, gradient) = problem.normal_equations(&state);
-        if gain <= LEAST_GAIN * (1.0 + misfit) {
+        settled = gain <= LEAST_GAIN * (1.0 + misfit);
+        if settled {
             break;
         }
     }
-    Fit { state, misfit, normal }
+    Fit { state, misfit, settled, normal }
+}
+
+/// The best answers near several starts, the best of all first. A start that has not settled when it is left, and is promising, goes on:
+/// else the best answer might be one that was left on its way.
+pub fn refine_all(problem: &Problem, starts: impl IntoIterator<Item = State>) -> Vec<Fit> {
+    let mut fits: Vec<Fit> = starts.into_iter().map(|start| refine(problem, start)).collect();
+    let expected = problem.freedom() as f64;
+    for _ in 0..MOST_ROUNDS {
+        fits.sort_by(|a, b| a.misfit.total_cmp(&b.misfit));
+        let Some(least) = fits.first().map(|fit| fit.misfit) else { break };
+        let promising = PROMISING * least.max(expected);
+        let mut all_settled = true;
+        for fit in fits.iter_mut().filter(|fit| !fit.settled && fit.misfit <= promising) {
+            *fit = refine(problem, fit.state.clone());
+            all_settled = false;
+        }
+        if all_settled {
+            break;
+        }
+    }
+    fits
 }
 
 /// The change that a small turn about an axis makes.

@@ -12,7 +12,11 @@ fn main() -> std::process::ExitCode {
 }
 
 #[cfg(target_os = "none")]
+#[path = "."]
 mod target {
+    mod converter;
+    mod path;
+
     use core::hint::black_box;
     use core::panic::PanicInfo;
 
@@ -30,7 +34,7 @@ mod target {
     use ftcal_shared::estimation::gate::Gate;
     use ftcal_shared::estimation::moments::{BLOCK, Moments, higher_moment_count};
     use ftcal_shared::estimation::parity::ParitySpace;
-    use ftcal_shared::units::{AdcCode, DataRate, DeviceTime, Dof, SampleIndex};
+    use ftcal_shared::units::{AdcCode, DataRate, Dof};
     // The interrupt table comes with the device.
     use stm32f4xx_hal as _;
 
@@ -38,6 +42,7 @@ mod target {
     const HIGHER: usize = higher_moment_count(GAGES);
 
     /// Samples of the trial: two whole blocks of the sums, so that bringing them into the long sums is counted, too.
+    #[expect(clippy::cast_possible_truncation, reason = "some thousands")]
     const SAMPLES: u32 = 2 * BLOCK as u32;
 
     /// Samples through the gate: many blocks of it.
@@ -92,13 +97,32 @@ mod target {
         let height = libm::cos(turn * 1.618_034);
         let radius = libm::sqrt(1.0 - height * height);
         let direction = [radius * libm::cos(turn * 0.7), radius * libm::sin(turn * 0.7), height];
-        core::array::from_fn(|gage| {
-            let angle = gage as f64 * 0.9;
+        let mut gages = 0..;
+        core::array::from_fn(|_| {
+            let gage: u8 = gages.next().unwrap_or(0);
+            let angle = f64::from(gage) * 0.9;
             let gains = [libm::cos(angle), libm::sin(angle), 0.5 * libm::cos(2.0 * angle + 0.3)];
             let signal: f64 = gains.iter().zip(&direction).map(|(gain, m)| 300_000.0 * gain * m).sum();
-            let noise = (sample.wrapping_mul(2_654_435_761).rotate_left(3 * gage as u32) >> 20) as i32 - 2048;
+            let noise = (sample.wrapping_mul(2_654_435_761).rotate_left(3 * u32::from(gage)) >> 20)
+                .cast_signed()
+                - 2048;
             #[expect(clippy::cast_possible_truncation, reason = "far within the converter's range")]
             AdcCode::saturating(i64::from(signal as i32 + noise / 4 + 10_000))
+        })
+    }
+
+    /// The rows of the turning sensor's three components, and three more: to the others its gages agree but for noise.
+    fn matrix() -> [f32; 6 * GAGES] {
+        core::array::from_fn(|element| {
+            let angle = (element % GAGES) as f32 * 0.9;
+            1e-6 * match element / GAGES {
+                0 => libm::cosf(angle),
+                1 => libm::sinf(angle),
+                2 => libm::cosf(2.0 * angle + 0.3),
+                3 => libm::sinf(2.0 * angle + 0.3),
+                4 => libm::cosf(3.0 * angle),
+                _ => libm::sinf(3.0 * angle),
+            }
         })
     }
 
@@ -106,10 +130,12 @@ mod target {
     fn main() -> ! {
         static mut MOMENTS: Moments<GAGES, HIGHER> = Moments::new([AdcCode::ZERO; GAGES]);
         static mut BINS: Bins<GAGES, HIGHER> = Bins::new();
+        static mut PATH_BINS: Bins<GAGES, HIGHER> = Bins::new();
         if let Some(core) = cortex_m::Peripherals::take() {
             let counter = Counter::new(core.SYST);
             solve(&counter, BINS);
             accumulate(&counter, MOMENTS);
+            path::measure(&counter, PATH_BINS);
             debug::exit(debug::EXIT_SUCCESS);
         }
         loop {
@@ -154,20 +180,8 @@ mod target {
 
     #[inline(never)]
     fn gate_and_apply(counter: &Counter, expectation: Option<Expectation<GAGES>>) {
-        // The rows of the turning sensor's three components, and three more: to the others its gages agree but for noise.
-        let matrix: [f32; 6 * GAGES] = core::array::from_fn(|element| {
-            let angle = (element % GAGES) as f32 * 0.9;
-            1e-6 * match element / GAGES {
-                0 => libm::cosf(angle),
-                1 => libm::sinf(angle),
-                2 => libm::cosf(2.0 * angle + 0.3),
-                3 => libm::sinf(2.0 * angle + 0.3),
-                4 => libm::cosf(3.0 * angle),
-                _ => libm::sinf(3.0 * angle),
-            }
-        });
         let Ok(calibration) =
-            RealTimeCalibration::<GAGES>::new(Dof::SpatialForceTorque, &matrix, &[10_000.5; GAGES])
+            RealTimeCalibration::<GAGES>::new(Dof::SpatialForceTorque, &matrix(), &[10_000.5; GAGES])
         else {
             return;
         };
@@ -186,13 +200,7 @@ mod target {
             applied += ticks(|| {
                 black_box(black_box(&calibration).apply(black_box(&codes)));
             });
-            let sample = Sample {
-                index: SampleIndex::new(sample),
-                time: DeviceTime::from_micros(0),
-                codes,
-                repeating: 0,
-                after_gap: false,
-            };
+            let sample = Sample { codes, repeating: 0, after_gap: false };
             let ticks = ticks(|| {
                 let _ = black_box(black_box(&mut health).measure(Ok(&calibration), 0, black_box(&sample)));
             });

@@ -1,0 +1,50 @@
+//! A sensor together with its converter, where nothing interrupts: in the simulator and in tests.
+//!
+//! The board reads the converter in one interrupt and has the sensor make something of it in another. Here the one follows the other
+//! at once, so that no reading waits and none is lost.
+
+use core::ops::DerefMut;
+
+use embedded_hal::delay::DelayNs;
+use embedded_hal::spi::SpiDevice;
+use ftcal_shared::estimation::bins::Bins;
+use ftcal_shared::units::DeviceTime;
+use ftcal_shared::wire::ClockSource;
+
+use crate::acquisition::Acquisition;
+use crate::sensor::Sensor;
+use crate::stream::Moment;
+
+/// A converter with `GAGES` of its channels in use, and the sensor that makes something of it.
+pub struct PolledSensor<Spi, Store, const GAGES: usize, const HIGHER: usize> {
+    acquisition: Acquisition<Spi, GAGES>,
+    /// The sensor, to be asked and answered.
+    pub sensor: Sensor<Store, GAGES, HIGHER>,
+}
+
+impl<Spi, Store, const GAGES: usize, const HIGHER: usize> PolledSensor<Spi, Store, GAGES, HIGHER>
+where
+    Spi: SpiDevice<u8>,
+    Store: DerefMut<Target = Bins<GAGES, HIGHER>>,
+{
+    /// An uncalibrated sensor whose converter the first [`PolledSensor::tick`] starts.
+    pub fn new(spi: Spi, store: Store, clock: ClockSource) -> Self {
+        Self { acquisition: Acquisition::new(spi), sensor: Sensor::new(store, clock) }
+    }
+
+    /// See [`Acquisition::tick`] and [`Sensor::tick`].
+    pub fn tick(&mut self, now: DeviceTime, delay: &mut impl DelayNs) -> Option<Moment> {
+        self.sensor.exchange(&mut self.acquisition);
+        self.acquisition.tick(now, delay);
+        self.sensor.exchange(&mut self.acquisition);
+        self.sensor.tick(now)
+    }
+
+    /// See [`Acquisition::on_data_ready`] and [`Sensor::take_in`].
+    pub fn on_data_ready(&mut self, now: DeviceTime, announced: DeviceTime) -> Option<Moment> {
+        self.sensor.exchange(&mut self.acquisition);
+        let reading = self.acquisition.on_data_ready(now, announced)?;
+        self.sensor.exchange(&mut self.acquisition);
+        self.sensor.take_in(&reading, now)
+    }
+}
