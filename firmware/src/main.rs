@@ -2,7 +2,7 @@
 //!
 //! | priority | task | interrupt | does |
 //! |---|---|---|---|
-//! | 4 | `link` | USART2 | moves bytes between the line and two queues, nothing else |
+//! | 4 | `link` | USART3 | moves bytes between the line and two queues, nothing else |
 //! | 3 | `sample` | EXTI9_5: data-ready | the sample path: read, take into the trial, apply, queue the outcome |
 //! | 3 | `tick` | SysTick, every 2 ms | watches over the converter, starts it where it is due |
 //! | 2 | `session` | TIM7, raised by hand | decodes requests, has them answered, puts samples together into frames |
@@ -191,7 +191,7 @@ mod app {
     }
 
     /// A byte came, or may go.
-    #[task(binds = USART2, priority = 4, local = [link])]
+    #[task(binds = USART3, priority = 4, local = [link])]
     fn link(context: link::Context) {
         let served = context.local.link.serve();
         if served.received || served.sent_all {
@@ -247,7 +247,7 @@ mod app {
             let Some(message) = next_message(&mut context) else { break };
             context.local.conversation.outbox.put(&message);
         }
-        rtic::pend(Interrupt::USART2);
+        rtic::pend(Interrupt::USART3);
     }
 
     /// Ends what a host that has gone has left running.

@@ -2,19 +2,19 @@
 //!
 //! | pin | function | goes to |
 //! |---|---|---|
-//! | PA2 | USART2 TX, 921600 baud until told otherwise, 8N1 | host: RX of a USB serial adapter, 3.3 V |
-//! | PA3 | USART2 RX | host: TX |
+//! | PB10 | USART3 TX, 921600 baud until told otherwise, 8N1 | host: RX of a USB serial adapter, 3.3 V |
+//! | PB11 | USART3 RX | host: TX |
 //! | PB13 | SPI2 SCK, mode 1, 21 MHz | ADS131M08 SCLK |
 //! | PB14 | SPI2 MISO | ADS131M08 DOUT |
 //! | PB15 | SPI2 MOSI | ADS131M08 DIN |
 //! | PB9 | chip select, active low | ADS131M08 C̅S̅ |
 //! | PB8 | EXTI line 8, falling edge | ADS131M08 D̅R̅D̅Y̅ |
-//! | PB10, PB11 | USART3 TX, RX: the tunnel, in the emulated image only | host end of the tunnel |
+//! | PA2, PA3 | USART2 TX, RX: the tunnel, in the emulated image only | host end of the tunnel |
 //! | PH0, PH1 | crystal, [`clocks::CRYSTAL_HERTZ`] | |
 //!
 //! The converter's SYNC/RESET is tied high. Only peripherals of the slower bus, APB1, are in use: the emulator has no others
 //! that work. All of the above is free on an Olimex STM32-H405, whose crystal this image expects. An Adafruit Feather
-//! STM32F405 has another crystal and does not bring out PA2 and PA3.
+//! STM32F405 has another crystal.
 //!
 //! | module | holds |
 //! |---|---|
@@ -108,11 +108,24 @@ pub(crate) fn set_up(device: Peripherals, mut systick: SYST, queues: LinkQueues)
     let watchdog = Watchdog::start(device.IWDG);
     let (mut rcc, clock) = clocks::start(device.RCC, &mut systick);
     time_base::start(device.TIM2, carrier::timer_clock(&rcc.clocks), &mut rcc);
-    let gpioa = device.GPIOA.split(&mut rcc);
     let gpiob = device.GPIOB.split(&mut rcc);
-    let link = Link::new(device.USART2, gpioa.pa2, gpioa.pa3, queues, &mut rcc);
+    let link_pins = link::Pins { tx: gpiob.pb10.into(), rx: gpiob.pb11.into() };
+    #[cfg(feature = "emulated")]
+    let converter_pins = {
+        let gpioa = device.GPIOA.split(&mut rcc);
+        carrier::Pins { tx: gpioa.pa2.into(), rx: gpioa.pa3.into() }
+    };
+    #[cfg(not(feature = "emulated"))]
+    let converter_pins = carrier::Pins {
+        clock: gpiob.pb13.into(),
+        miso: gpiob.pb14.into(),
+        mosi: gpiob.pb15.into(),
+        select: carrier::select(gpiob.pb9),
+        data_ready: carrier::data_ready(gpiob.pb8),
+    };
+    let link = Link::new(device.USART3, link_pins, queues, &mut rcc);
     let (converter, data_ready) =
-        carrier::connect(device.SPI2, device.USART3, gpiob, device.EXTI, device.SYSCFG, &mut rcc);
+        carrier::connect(device.SPI2, device.USART2, converter_pins, device.EXTI, device.SYSCFG, &mut rcc);
     start_ticking(systick, &rcc);
     let link_clock_hertz = rcc.clocks.pclk1().raw();
     let flash = Flash::new(device.FLASH);
