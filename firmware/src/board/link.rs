@@ -37,9 +37,9 @@ pub(crate) struct LinkQueues {
 }
 
 /// The line's two wires.
-pub(super) struct Pins {
-    pub(super) tx: usart3::Tx<PushPull>,
-    pub(super) rx: usart3::Rx<PushPull>,
+pub(crate) struct Pins {
+    pub(crate) tx: usart3::Tx<PushPull>,
+    pub(crate) rx: usart3::Rx<PushPull>,
 }
 
 /// The line's end of the link.

@@ -19,14 +19,14 @@ use super::time_base::Delay;
 const FASTEST: Hertz = Hertz::from_raw(25_000_000);
 
 /// The wires to the converter.
-pub(super) struct Pins {
-    pub(super) clock: spi2::Sck,
-    pub(super) miso: spi2::Miso,
-    pub(super) mosi: spi2::Mosi,
+pub(crate) struct Pins {
+    pub(crate) clock: spi2::Sck,
+    pub(crate) miso: spi2::Miso,
+    pub(crate) mosi: spi2::Mosi,
     /// As [`select`] makes it.
-    pub(super) select: AnyPin<Output>,
+    pub(crate) select: AnyPin<Output>,
     /// As [`data_ready`] makes it.
-    pub(super) data_ready: AnyPin<Input>,
+    pub(crate) data_ready: AnyPin<Input>,
 }
 
 /// A pin, not yet in use, as chip select: high at once, so that the converter ignores the bus until it is spoken to.

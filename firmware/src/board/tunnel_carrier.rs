@@ -47,9 +47,9 @@ struct Line {
 }
 
 /// The tunnel's two wires.
-pub(super) struct Pins {
-    pub(super) tx: usart2::Tx<PushPull>,
-    pub(super) rx: usart2::Rx<PushPull>,
+pub(crate) struct Pins {
+    pub(crate) tx: usart2::Tx<PushPull>,
+    pub(crate) rx: usart2::Rx<PushPull>,
 }
 
 /// The converter's bus.
