@@ -24,6 +24,9 @@ fn main() {
         );
         return;
     }
+    // Where nobody asks for another level: without one, nothing but errors is in the image.
+    println!("cargo:rerun-if-env-changed=DEFMT_LOG");
+    println!("cargo:rustc-env=DEFMT_LOG={}", env::var("DEFMT_LOG").as_deref().unwrap_or("info"));
     let workspace = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").unwrap_or_default()).join("..");
     println!("cargo:rustc-link-search={}", workspace.display());
     // Sections need no page alignment: there is no loader.
