@@ -2,10 +2,10 @@
 //!
 //! | priority | task | interrupt | does |
 //! |---|---|---|---|
-//! | 4 | `link` | USART2 | moves bytes between the line and two queues, nothing else |
+//! | 4 | `link` | USART3 | moves bytes between the line and two queues, nothing else |
 //! | 3 | `sample` | EXTI9_5: data-ready | reads the conversion and queues it |
 //! | 3 | `tick` | SysTick, every 2 ms | watches over the converter, starts it where it is due; feeds the watchdog |
-//! | 2 | `process` | TIM6_DAC, raised by hand | takes readings into the trial, applies the calibration, queues the outcome |
+//! | 2 | `process` | TIM6_DAC, raised by hand | takes readings into the trial, applies the calibration, queues the outcome; the light shows how it is |
 //! | 1 | `session` | TIM7, raised by hand | decodes requests, has them answered, puts samples together into frames |
 //! | 0 | `idle` | none | reads the memory at the start; then solves trials and stores, in the background |
 //!
@@ -30,8 +30,8 @@ mod board;
 fn main() -> std::process::ExitCode {
     eprintln!(
         "This is the firmware of the sensor; it runs on an STM32F405, not here. Build it with\n\
-         cargo build -p ftcal-firmware --profile firmware --target thumbv7em-none-eabihf\n\
-         and bring it to the sensor with `ftcal flash IMAGE`, or run it in the emulator: see the README."
+         cargo build -p ftcal-firmware --profile firmware --target thumbv7em-none-eabihf --features BOARD\n\
+         and bring it to the sensor with `ftcal flash IMAGE`, or run it in the emulator: see firmware/README.md."
     );
     std::process::ExitCode::from(2)
 }
@@ -60,8 +60,9 @@ mod app {
     use stm32f4xx_hal::pac::Interrupt;
 
     use crate::board::link::{Link, LinkQueues, Outbox, is_changing_rate};
+    use crate::board::panel::Panel;
     use crate::board::watchdog::Watchdog;
-    use crate::board::{Converter, DataReady, Flash, Start, set_up, time_base};
+    use crate::board::{Converter, DataReady, Flash, Start, set_up, time_base, wiring};
 
     /// Gages on the converter.
     const GAGES: usize = 8;
@@ -102,6 +103,7 @@ mod app {
         readings_in: Producer<'static, Reading<GAGES>>,
         readings_out: Consumer<'static, Reading<GAGES>>,
         moments_in: Producer<'static, Moment>,
+        panel: Panel,
         watchdog: Watchdog,
         start: Start,
         conversation: Conversation,
@@ -169,7 +171,12 @@ mod app {
 
         let queues = LinkQueues { received: received_in, to_send: to_send_out };
         let board = set_up(context.device, context.core.SYST, queues);
-        defmt::info!("ftcal {=str}, clock: {}", env!("CARGO_PKG_VERSION"), board.clock);
+        defmt::info!(
+            "ftcal {=str} on {=str}, clock: {}",
+            env!("CARGO_PKG_VERSION"),
+            wiring::NAME,
+            board.clock
+        );
 
         let mut sensor = Sensor::new(context.local.store, board.clock);
         sensor.note_start(&board.start.diagnosis());
@@ -198,6 +205,7 @@ mod app {
             readings_in,
             readings_out,
             moments_in,
+            panel: board.panel,
             watchdog: board.watchdog,
             start: board.start,
             keeper: Keeper::new(board.flash),
@@ -207,7 +215,7 @@ mod app {
     }
 
     /// A byte came, or may go.
-    #[task(binds = USART2, priority = 4, local = [link])]
+    #[task(binds = USART3, priority = 4, local = [link])]
     fn link(context: link::Context) {
         let served = context.local.link.serve();
         if served.received || served.sent_all {
@@ -252,7 +260,7 @@ mod app {
     #[task(
         binds = TIM6_DAC,
         priority = 2,
-        local = [readings_out, moments_in],
+        local = [readings_out, moments_in, panel],
         shared = [sensor, acquisition, &has_ticked, &dropped_samples, &vitality]
     )]
     fn process(context: process::Context) {
@@ -280,6 +288,9 @@ mod app {
             if has_ticked.swap(false, Ordering::Acquire) {
                 acquisition.lock(|acquisition| sensor.exchange(acquisition));
                 queue(sensor.tick(time_base::now()));
+                let Panel { button, light } = context.local.panel;
+                // The button inverts the light, which shows that both work.
+                light.set(sensor.converter_runs() != button.is_pressed());
                 // Samples that wait for others may have waited long enough, and the session is to show that it is alive.
                 rtic::pend(Interrupt::TIM7);
             }
@@ -301,7 +312,7 @@ mod app {
             let Some(message) = next_message(&mut context) else { break };
             context.local.conversation.outbox.put(&message);
         }
-        rtic::pend(Interrupt::USART2);
+        rtic::pend(Interrupt::USART3);
     }
 
     /// Ends what a host that has gone has left running.

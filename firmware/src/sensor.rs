@@ -146,6 +146,11 @@ where
         }
     }
 
+    /// Whether conversions come, as they should.
+    pub const fn converter_runs(&self) -> bool {
+        matches!(self.converter.state(), AdcState::Running)
+    }
+
     /// The sample path, once a conversion is read: takes it into the trial, and applies the calibration. Allocates nothing and waits for
     /// nothing. What was read before the converter was last told to start is passed over.
     pub fn take_in(&mut self, reading: &Reading<GAGES>, now: DeviceTime) -> Option<Moment> {
