@@ -99,7 +99,7 @@ fn basis_of_white_codes<const GAGES: usize, const RANK: usize>(
     found.projection = factor.transpose().solve_upper_triangular(&found.projection)?;
     found.embedding = factor * found.embedding;
     found.relative_noise = noise.relative;
-    match symmetric_eigen(covariance) {
+    match symmetric_eigen(covariance, GAGES) {
         Ok(eigen) => found.eigenvalues = eigen.values.map(|eigenvalue| eigenvalue.max(0.0)),
         Err(refusal) => return Some(Err(refusal)),
     }
@@ -126,7 +126,7 @@ fn basis_of_equal_channels<const GAGES: usize, const RANK: usize>(
     if !(2..=3).contains(&RANK) || RANK > GAGES {
         return Err(unsupported::<GAGES, RANK>());
     }
-    let eigen = symmetric_eigen(covariance)?;
+    let eigen = symmetric_eigen(covariance, GAGES)?;
     let vectors = eigen.vectors.fixed_columns::<RANK>(0).into_owned();
     // The covariance has no negative eigenvalue; rounding may give it one.
     let eigenvalues = eigen.values.map(|eigenvalue| eigenvalue.max(0.0));

@@ -74,7 +74,7 @@ impl<const GAGES: usize> Expectation<GAGES> {
         if solution.samples < LEAST_SAMPLES {
             return Ok(None);
         }
-        let load_noise = symmetric_eigen(&solution.load_noise)?.values / SAMPLES;
+        let load_noise = symmetric_eigen(&solution.load_noise, RANK)?.values / SAMPLES;
         let variance = 4.0 * load_noise.max() + 2.0 * load_noise.norm_squared() + solution.unexplained;
         let change =
             LARGEST_DEVIATION * libm::sqrt(variance) + SHARE_OF_WORST * solution.uncertainty.worst_relative();

@@ -177,7 +177,7 @@ pub fn require_indifference_to_noise<const RANK: usize>(
     let metric = relative - SMatrix::<f64, RANK, RANK>::identity();
     let centre = factor.l().transpose() * (other.centre - found.centre);
     // A gain changes by half of what its square does.
-    let change = symmetric_eigen(&metric)?.values.amax().max(2.0 * centre.norm());
+    let change = symmetric_eigen(&metric, RANK)?.values.amax().max(2.0 * centre.norm());
     if change > accepted { Err(does_not_span(change)) } else { Ok(NoiseShift { metric, centre }) }
 }
 
@@ -205,7 +205,7 @@ fn require_determined<const RANK: usize>(
     covariance: &SMatrix<f64, UNKNOWNS, UNKNOWNS>,
     accepted: f64,
 ) -> Result<(), Refusal> {
-    let principal = symmetric_eigen(quadratic)?;
+    let principal = symmetric_eigen(quadratic, RANK)?;
     for k in 0..RANK {
         let direction = principal.vectors.column(k);
         let mut gradient = Coefficients::zeros();

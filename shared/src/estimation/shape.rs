@@ -116,7 +116,7 @@ pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
     let shape =
         factor.l().solve_lower_triangular(&indeterminate_shape).ok_or(Refusal::MetricNotPositiveDefinite)?;
     // The orientation is arbitrary, so it is chosen: rows orthogonal, longest first.
-    let principal = symmetric_eigen(&(shape * shape.transpose()))?;
+    let principal = symmetric_eigen(&(shape * shape.transpose()), RANK)?;
     let orientation = principal.vectors.transpose();
     let shape_counts_per_load = orientation * shape;
     // Across the subspace there is but the bias, and every sample tells it.

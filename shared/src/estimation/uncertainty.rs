@@ -63,7 +63,7 @@ pub fn predict<const RANK: usize>(
     samples: u64,
 ) -> Result<TrialUncertainty<RANK>, Refusal> {
     let undetermined = Refusal::MotionDoesNotSpan { relative_uncertainty: f32::INFINITY, need: 1.0 };
-    let eigenvalues = symmetric_eigen(load_noise)?.values;
+    let eigenvalues = symmetric_eigen(load_noise, RANK)?.values;
     let least_noise = eigenvalues.min();
     let constant = 4.0 * least_noise + 2.0 * load_noise.norm_squared() + unexplained;
 
