@@ -6,12 +6,14 @@
 //! ([`MotionMoments::without_noise`]): **adjusted least squares**. With no noise this is the paper's least squares with
 //! a free centre.
 
-use nalgebra::{Cholesky, SMatrix, SVector};
+use nalgebra::{Cholesky, SMatrix};
 
+use super::coordinates::{MotionMatrix, MotionVector, cholesky, identity, vector};
 use super::eigen::symmetric_eigen;
 use super::motion_moments::MotionMoments;
 use super::quadric::{Coefficients, UNKNOWNS, linear_position, monomials, normal_matrix, product_position};
 use crate::refusal::Refusal;
+use crate::units::{MAX_RANK, Rank};
 
 /// The largest relative standard deviation of a principal value of Q that counts as determined by the motion.
 ///
@@ -39,11 +41,11 @@ pub(crate) const LEAST_UNEXPLAINED: f64 = 1e-8;
 
 /// The ellipsoid (x − c)ᵀ M (x − c) = 1 of the motion in whitened coordinates.
 #[derive(Clone, Debug)]
-pub struct Metric<const RANK: usize> {
+pub struct Metric {
     /// M (r × r, positive definite); AᵀMA = I gives the paper's A of eq. 11.
-    pub matrix: SMatrix<f64, RANK, RANK>,
+    pub matrix: MotionMatrix,
     /// The centre c.
-    pub centre: SVector<f64, RANK>,
+    pub centre: MotionVector,
     /// The variance of (x − c)ᵀM(x − c), which should be one throughout, less what the noise explains of it.
     pub unexplained: f64,
 }
@@ -60,33 +62,34 @@ pub struct Metric<const RANK: usize> {
 /// coefficient; [`Refusal::MetricNotPositiveDefinite`] where the surface is no ellipsoid;
 /// [`Refusal::MagnitudeNotConstant`] where the motion does not lie on it.
 #[inline(never)]
-pub fn metric<const RANK: usize>(
-    moments: &MotionMoments<RANK>,
-    variances: &SVector<f64, RANK>,
+pub fn metric(
+    rank: Rank,
+    moments: &MotionMoments,
+    variances: &MotionVector,
     noise_variance: f64,
     samples: u64,
     accepted: f64,
-) -> Result<Metric<RANK>, Refusal> {
-    let noise = variances.map(|variance| noise_variance / variance);
-    let Equations { normal: mut inverse, right, second } = equations(moments, &noise);
+) -> Result<Metric, Refusal> {
+    let noise = vector(rank, |axis| noise_variance / variances[axis]);
+    let Equations { normal: mut inverse, right, second } = equations(rank, moments, &noise);
     invert(&mut inverse)?;
     let solution = inverse * right;
 
-    let quadratic = SMatrix::from_fn(|a, b| {
-        let element = solution[product_position::<RANK>(a, b)];
+    let quadratic = MotionMatrix::from_fn(|a, b| {
+        let element = solution[product_position(a, b)];
         if a == b { element } else { element / 2.0 }
     });
-    let linear = SVector::<f64, RANK>::from_fn(|a, _| solution[linear_position::<RANK>(a)]);
+    let linear = MotionVector::from_fn(|a, _| solution[linear_position(a)]);
 
     // What the constraint leaves unexplained, and the noise, which the moments have been freed of: to first order it
     // moves xᵀQx + gᵀx by its product with the gradient 2Qx + g.
     let unexplained = (1.0 - solution.dot(&right)).max(0.0);
     let squared_gradient = (quadratic * second * quadratic * 4.0).diagonal() + linear.component_mul(&linear);
     let covariance = inverse * ((unexplained + squared_gradient.dot(&noise)) / samples.max(1) as f64)
-        + rounding(&inverse, &solution, variances);
-    require_determined::<RANK>(&quadratic, &covariance, accepted)?;
+        + rounding(rank, &inverse, &solution, variances);
+    require_determined(rank, &quadratic, &covariance, accepted)?;
 
-    let quadratic_factor = Cholesky::new(quadratic).ok_or(Refusal::MetricNotPositiveDefinite)?;
+    let quadratic_factor = cholesky(&quadratic, rank).ok_or(Refusal::MetricNotPositiveDefinite)?;
     let centre = quadratic_factor.solve(&linear) * -0.5;
     // xᵀQx + gᵀx = 1 about its centre: (x − c)ᵀQ(x − c) = 1 + cᵀQc.
     let level = 1.0 + centre.dot(&(quadratic * centre));
@@ -101,27 +104,20 @@ pub fn metric<const RANK: usize>(
 }
 
 /// The normal equations of the constraint.
-struct Equations<const RANK: usize> {
+struct Equations {
     /// ⟨φφᵀ⟩, of moments free of noise.
     normal: SMatrix<f64, UNKNOWNS, UNKNOWNS>,
     /// ⟨φ⟩.
     right: Coefficients,
     /// ⟨xxᵀ⟩.
-    second: SMatrix<f64, RANK, RANK>,
+    second: MotionMatrix,
 }
 
 /// Sets the equations up. Never inlined: the moments that it takes are large, and the sensor's stack is not.
 #[inline(never)]
-fn equations<const RANK: usize>(
-    moments: &MotionMoments<RANK>,
-    noise: &SVector<f64, RANK>,
-) -> Equations<RANK> {
-    let free = moments.without_noise(&SMatrix::from_diagonal(noise));
-    Equations {
-        normal: normal_matrix(&free),
-        right: means(&free),
-        second: SMatrix::from_fn(|a, b| free.second[a][b]),
-    }
+fn equations(rank: Rank, moments: &MotionMoments, noise: &MotionVector) -> Equations {
+    let free = moments.without_noise(&MotionMatrix::from_diagonal(noise));
+    Equations { normal: normal_matrix(&free, rank), right: means(&free), second: free.second }
 }
 
 /// Replaces a normal matrix by its inverse.
@@ -136,11 +132,11 @@ fn invert(normal: &mut SMatrix<f64, UNKNOWNS, UNKNOWNS>) -> Result<(), Refusal> 
 
 /// By how much unknown noise may have moved the ellipsoid, in coordinates in which the one found is |m| = 1.
 #[derive(Clone, Debug)]
-pub struct NoiseShift<const RANK: usize> {
+pub struct NoiseShift {
     /// E (r × r): what is added to the identity.
-    pub metric: SMatrix<f64, RANK, RANK>,
+    pub metric: MotionMatrix,
     /// δ (r): how far the centre moves.
-    pub centre: SVector<f64, RANK>,
+    pub centre: MotionVector,
 }
 
 /// Where nothing redundant tells the noise (p = r), the answer must not hinge on it.
@@ -155,29 +151,29 @@ pub struct NoiseShift<const RANK: usize> {
 /// # Errors
 ///
 /// [`Refusal::MotionDoesNotSpan`] with the largest relative change of a principal value, or of the centre.
-pub fn require_indifference_to_noise<const RANK: usize>(
-    moments: &MotionMoments<RANK>,
-    variances: &SVector<f64, RANK>,
-    found: &Metric<RANK>,
+pub fn require_indifference_to_noise(
+    rank: Rank,
+    moments: &MotionMoments,
+    variances: &MotionVector,
+    found: &Metric,
     samples: u64,
     accepted: f64,
-) -> Result<NoiseShift<RANK>, Refusal> {
+) -> Result<NoiseShift, Refusal> {
     let m = &found.matrix;
-    let about_centre =
-        SMatrix::<f64, RANK, RANK>::from_fn(|a, b| moments.second[a][b] + found.centre[a] * found.centre[b]);
+    let about_centre = moments.second + found.centre * found.centre.transpose();
     let squared_gradient = (m * about_centre * m * 4.0).diagonal();
-    let shares = variances.map(|variance| 1.0 / variance);
+    let shares = vector(rank, |axis| 1.0 / variances[axis]);
     let most = found.unexplained.max(LEAST_UNEXPLAINED) / squared_gradient.dot(&shares);
-    let other = metric(moments, variances, most, samples, accepted)?;
+    let other = metric(rank, moments, variances, most, samples, accepted)?;
 
     // In coordinates in which the ellipsoid found is the unit sphere.
-    let factor = Cholesky::new(found.matrix).ok_or(Refusal::MetricNotPositiveDefinite)?;
+    let factor = cholesky(&found.matrix, rank).ok_or(Refusal::MetricNotPositiveDefinite)?;
     let half = factor.l().solve_lower_triangular(&other.matrix).ok_or(Refusal::NonFinite)?;
     let relative = factor.l().solve_lower_triangular(&half.transpose()).ok_or(Refusal::NonFinite)?;
-    let metric = relative - SMatrix::<f64, RANK, RANK>::identity();
+    let metric = relative - identity(rank);
     let centre = factor.l().transpose() * (other.centre - found.centre);
     // A gain changes by half of what its square does.
-    let change = symmetric_eigen(&metric, RANK)?.values.amax().max(2.0 * centre.norm());
+    let change = symmetric_eigen(&metric, rank.count())?.values.amax().max(2.0 * centre.norm());
     if change > accepted { Err(does_not_span(change)) } else { Ok(NoiseShift { metric, centre }) }
 }
 
@@ -187,12 +183,13 @@ pub fn require_indifference_to_noise<const RANK: usize>(
 /// coordinates of that size, y = T x with T = diag √(λₐ/λ₁), all elements of N_y = D N D are off by ε, where D has the products
 /// of T that belong to φ. So s_y = D⁻¹s is off by ε|s_y| N_y⁻¹, and s by N⁻¹D⁻¹ times that: little in a round motion, and most in
 /// a motion that is flat and hardly determines what is across it.
-fn rounding<const RANK: usize>(
+fn rounding(
+    rank: Rank,
     inverse: &SMatrix<f64, UNKNOWNS, UNKNOWNS>,
     solution: &Coefficients,
-    variances: &SVector<f64, RANK>,
+    variances: &MotionVector,
 ) -> SMatrix<f64, UNKNOWNS, UNKNOWNS> {
-    let flatness = variances.map(|variance| libm::sqrt(variances.max() / variance));
+    let flatness = vector(rank, |axis| libm::sqrt(variances.max() / variances[axis]));
     let sizes = monomials(&flatness);
     let coefficients = solution.component_mul(&sizes).norm();
     let off = inverse * SMatrix::from_diagonal(&sizes) * (ROUNDING * ROUNDING_WEIGHT * coefficients);
@@ -200,18 +197,19 @@ fn rounding<const RANK: usize>(
 }
 
 /// Every principal value of Q must stand clear of its own uncertainty; a negative one that does is no ellipsoid.
-fn require_determined<const RANK: usize>(
-    quadratic: &SMatrix<f64, RANK, RANK>,
+fn require_determined(
+    rank: Rank,
+    quadratic: &MotionMatrix,
     covariance: &SMatrix<f64, UNKNOWNS, UNKNOWNS>,
     accepted: f64,
 ) -> Result<(), Refusal> {
-    let principal = symmetric_eigen(quadratic, RANK)?;
-    for k in 0..RANK {
+    let principal = symmetric_eigen(quadratic, rank.count())?;
+    for k in rank.axes() {
         let direction = principal.vectors.column(k);
         let mut gradient = Coefficients::zeros();
-        for a in 0..RANK {
-            for b in a..RANK {
-                gradient[product_position::<RANK>(a, b)] = direction[a] * direction[b];
+        for a in 0..MAX_RANK {
+            for b in a..MAX_RANK {
+                gradient[product_position(a, b)] = direction[a] * direction[b];
             }
         }
         let deviation = libm::sqrt(gradient.dot(&(covariance * gradient)).max(0.0));
@@ -229,11 +227,11 @@ fn require_determined<const RANK: usize>(
 }
 
 /// ⟨φ⟩ of central moments.
-fn means<const RANK: usize>(central: &MotionMoments<RANK>) -> Coefficients {
+fn means(central: &MotionMoments) -> Coefficients {
     let mut means = Coefficients::zeros();
-    for a in 0..RANK {
-        for b in a..RANK {
-            means[product_position::<RANK>(a, b)] = central.second[a][b];
+    for a in 0..MAX_RANK {
+        for b in a..MAX_RANK {
+            means[product_position(a, b)] = central.second[(a, b)];
         }
     }
     means
