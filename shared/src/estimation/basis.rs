@@ -63,6 +63,14 @@ pub struct Basis<const GAGES: usize> {
     pub relative_noise: SMatrix<f64, GAGES, GAGES>,
 }
 
+impl<const GAGES: usize> Basis<GAGES> {
+    /// What the noise has across the subspace (p × p), over that of a channel.
+    #[inline(never)]
+    pub(super) fn redundant_noise(&self) -> SMatrix<f64, GAGES, GAGES> {
+        self.relative_noise - self.embedding * self.embedding.transpose()
+    }
+}
+
 /// Finds the basis of the motion from the covariance of the codes (p × p, counts²) of `samples` samples, whose channels have
 /// this noise as far as it is known.
 ///

@@ -221,8 +221,11 @@ fn expected_error<const GAGES: usize>(
     runs: u64,
     accepted: f64,
 ) -> Result<f64, Refusal> {
-    let solution = solve_within(subspace, all, quiet, runs, accepted)?;
-    Ok(libm::hypot(solution.uncertainty.worst_relative(), SHIFT_OVER_UNEXPLAINED * solution.unexplained))
+    let solved = solve_within(subspace, all, quiet, runs, accepted);
+    let solution = solved.as_ref().map_err(|refusal| *refusal)?;
+    let (worst, shift) =
+        (solution.uncertainty.worst_relative(), SHIFT_OVER_UNEXPLAINED * solution.unexplained);
+    Ok(libm::sqrt(worst * worst + shift * shift))
 }
 
 fn push<const GAGES: usize, const HIGHER: usize>(

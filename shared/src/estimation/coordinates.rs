@@ -56,6 +56,12 @@ pub fn cholesky(matrix: &MotionMatrix, rank: Rank) -> Option<Cholesky<f64, Const
     Cholesky::new(matrix)
 }
 
+/// B M Bᵀ: a covariance of y as one of B y.
+#[inline(never)]
+pub(super) fn carried(by: &MotionMatrix, matrix: &MotionMatrix) -> MotionMatrix {
+    by * matrix * by.transpose()
+}
+
 /// Where an element with these indices stands.
 pub(super) const fn place(indices: &[usize]) -> usize {
     let (mut beyond_first, mut beyond_second, mut index) = (0, 0, 0);

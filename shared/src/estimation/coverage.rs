@@ -17,12 +17,13 @@
 //! So a direction is named by the codes that it gives: the gage whose code depends most on the direction alone comes first, and
 //! others follow until together they pin the direction down within 26°.
 
-use nalgebra::{Cholesky, SMatrix, SVector};
+use nalgebra::{SMatrix, SVector};
 
 use super::coordinates::{MotionVector, identity};
 use super::directions::for_each_direction;
 use super::quadric::{monomials, normal_matrix};
 use super::shape::TrialSolution;
+use super::square::invert;
 use crate::refusal::Refusal;
 use crate::units::MAX_RANK;
 
@@ -69,13 +70,13 @@ pub struct GageTarget {
 /// [`Refusal::MotionDoesNotSpan`] where the directions do not determine the constraint.
 #[inline(never)]
 pub fn coverage<const GAGES: usize>(solution: &TrialSolution<GAGES>) -> Result<Coverage<GAGES>, Refusal> {
-    let information = normal_matrix(&solution.directions.higher, solution.rank);
+    let mut inverse = normal_matrix(&solution.directions.higher, solution.rank);
     let undetermined = Refusal::MotionDoesNotSpan { relative_uncertainty: f32::INFINITY, need: 1.0 };
-    let factor = Cholesky::new(information).ok_or(undetermined)?;
+    invert(&mut inverse).map_err(|_| undetermined)?;
     let mut weakest = (0.0, MotionVector::zeros());
     for_each_direction(solution.rank, |m, _| {
         let phi = monomials(&m);
-        let unknown = phi.dot(&factor.solve(&phi));
+        let unknown = phi.dot(&(inverse * phi));
         if unknown > weakest.0 {
             weakest = (unknown, m);
         }

@@ -12,15 +12,13 @@
 //!   that nothing can go wrong but that it takes longer. In the end, convergence is quadratic: matrices of size 12 take about six
 //!   sweeps, graded ones up to eleven.
 
-use nalgebra::{DMatrixViewMut, Dyn, SMatrix, SVector, U1};
+use nalgebra::{SMatrix, SVector};
 
+use super::square::{Leading, leading};
 use crate::refusal::Refusal;
 
 /// Twice as many sweeps as any matrix was seen to take; what is left then is rounding.
 const MOST_SWEEPS: usize = 24;
-
-/// The upper left part of a matrix, of a size that is known at run time.
-type Leading<'a> = DMatrixViewMut<'a, f64, U1, Dyn>;
 
 /// Eigenvalues in descending order, and the matching unit eigenvectors as columns.
 #[derive(Clone, Debug)]
@@ -45,10 +43,6 @@ pub(crate) fn symmetric_eigen<const N: usize>(
     decompose(leading(&mut diagonal, size), leading(&mut vectors, size))?;
     let values = SVector::from_fn(|k, _| if k < size { diagonal[(k, k)] } else { 0.0 });
     Ok(Eigen { values, vectors })
-}
-
-fn leading<const N: usize>(matrix: &mut SMatrix<f64, N, N>, size: usize) -> Leading<'_> {
-    DMatrixViewMut::from_slice_with_strides_generic(matrix.as_mut_slice(), Dyn(size), Dyn(size), U1, Dyn(N))
 }
 
 /// Brings the eigenvalues onto the matrix's diagonal and the eigenvectors into the columns of `vectors`, in descending order.

@@ -6,12 +6,13 @@
 //! ([`MotionMoments::without_noise`]): **adjusted least squares**. With no noise this is the paper's least squares with
 //! a free centre.
 
-use nalgebra::{Cholesky, SMatrix};
+use nalgebra::SMatrix;
 
 use super::coordinates::{MotionMatrix, MotionVector, cholesky, identity, vector};
 use super::eigen::symmetric_eigen;
 use super::motion_moments::MotionMoments;
 use super::quadric::{Coefficients, UNKNOWNS, linear_position, monomials, normal_matrix, product_position};
+use super::square::invert;
 use crate::refusal::Refusal;
 use crate::units::{MAX_RANK, Rank};
 
@@ -71,8 +72,10 @@ pub fn metric(
     accepted: f64,
 ) -> Result<Metric, Refusal> {
     let noise = vector(rank, |axis| noise_variance / variances[axis]);
-    let Equations { normal: mut inverse, right, second } = equations(rank, moments, &noise);
-    invert(&mut inverse)?;
+    let mut equations = equations(rank, moments, &noise);
+    invert_normal(&mut equations.normal)?;
+    // By reference: moved, it would stand on the stack twice.
+    let Equations { normal: inverse, right, second } = &equations;
     let solution = inverse * right;
 
     let quadratic = MotionMatrix::from_fn(|a, b| {
@@ -83,10 +86,10 @@ pub fn metric(
 
     // What the constraint leaves unexplained, and the noise, which the moments have been freed of: to first order it
     // moves xᵀQx + gᵀx by its product with the gradient 2Qx + g.
-    let unexplained = (1.0 - solution.dot(&right)).max(0.0);
+    let unexplained = (1.0 - solution.dot(right)).max(0.0);
     let squared_gradient = (quadratic * second * quadratic * 4.0).diagonal() + linear.component_mul(&linear);
-    let covariance = inverse * ((unexplained + squared_gradient.dot(&noise)) / samples.max(1) as f64)
-        + rounding(rank, &inverse, &solution, variances);
+    let of_samples = (unexplained + squared_gradient.dot(&noise)) / samples.max(1) as f64;
+    let covariance = Covariance { inverse, of_samples, of_rounding: rounding(rank, &solution, variances) };
     require_determined(rank, &quadratic, &covariance, accepted)?;
 
     let quadratic_factor = cholesky(&quadratic, rank).ok_or(Refusal::MetricNotPositiveDefinite)?;
@@ -122,11 +125,11 @@ fn equations(rank: Rank, moments: &MotionMoments, noise: &MotionVector) -> Equat
 
 /// Replaces a normal matrix by its inverse.
 #[inline(never)]
-fn invert(normal: &mut SMatrix<f64, UNKNOWNS, UNKNOWNS>) -> Result<(), Refusal> {
+fn invert_normal(normal: &mut SMatrix<f64, UNKNOWNS, UNKNOWNS>) -> Result<(), Refusal> {
     if normal.iter().any(|element| !element.is_finite()) {
         return Err(Refusal::NonFinite);
     }
-    *normal = Cholesky::new(*normal).ok_or_else(|| does_not_span(f64::INFINITY))?.inverse();
+    invert(normal).map_err(|_| does_not_span(f64::INFINITY))?;
     if normal.trace() > LARGEST_INVERSE_TRACE { Err(does_not_span(f64::INFINITY)) } else { Ok(()) }
 }
 
@@ -177,30 +180,43 @@ pub fn require_indifference_to_noise(
     if change > accepted { Err(does_not_span(change)) } else { Ok(NoiseShift { metric, centre }) }
 }
 
-/// What rounding does to the coefficients s = N⁻¹⟨φ⟩, as a covariance, [`ROUNDING_WEIGHT`] times as large as it is.
+/// The covariance of the coefficients s = N⁻¹⟨φ⟩.
+struct Covariance<'a> {
+    /// N⁻¹.
+    inverse: &'a SMatrix<f64, UNKNOWNS, UNKNOWNS>,
+    /// The variance of the constraint over the number of samples: from chance, the covariance is N⁻¹ times that.
+    of_samples: f64,
+    /// D⁻¹ times a number, see [`rounding`].
+    of_rounding: Coefficients,
+}
+
+impl Covariance<'_> {
+    /// The variance along a gradient: that of chance, and that of rounding.
+    fn along(&self, gradient: &Coefficients) -> f64 {
+        let turned = self.inverse * gradient;
+        gradient.dot(&turned) * self.of_samples + self.of_rounding.component_mul(&turned).norm_squared()
+    }
+}
+
+/// What rounding does to the coefficients s = N⁻¹⟨φ⟩, [`ROUNDING_WEIGHT`] times as large as it is: N⁻¹ times the diagonal matrix of
+/// these numbers is the square root of its covariance.
 ///
 /// The moments of the codes are rounded by ε of their size, which is that of the strongest axis of the motion. In
 /// coordinates of that size, y = T x with T = diag √(λₐ/λ₁), all elements of N_y = D N D are off by ε, where D has the products
 /// of T that belong to φ. So s_y = D⁻¹s is off by ε|s_y| N_y⁻¹, and s by N⁻¹D⁻¹ times that: little in a round motion, and most in
 /// a motion that is flat and hardly determines what is across it.
-fn rounding(
-    rank: Rank,
-    inverse: &SMatrix<f64, UNKNOWNS, UNKNOWNS>,
-    solution: &Coefficients,
-    variances: &MotionVector,
-) -> SMatrix<f64, UNKNOWNS, UNKNOWNS> {
+fn rounding(rank: Rank, solution: &Coefficients, variances: &MotionVector) -> Coefficients {
     let flatness = vector(rank, |axis| libm::sqrt(variances.max() / variances[axis]));
     let sizes = monomials(&flatness);
     let coefficients = solution.component_mul(&sizes).norm();
-    let off = inverse * SMatrix::from_diagonal(&sizes) * (ROUNDING * ROUNDING_WEIGHT * coefficients);
-    off * off.transpose()
+    sizes * (ROUNDING * ROUNDING_WEIGHT * coefficients)
 }
 
 /// Every principal value of Q must stand clear of its own uncertainty; a negative one that does is no ellipsoid.
 fn require_determined(
     rank: Rank,
     quadratic: &MotionMatrix,
-    covariance: &SMatrix<f64, UNKNOWNS, UNKNOWNS>,
+    covariance: &Covariance<'_>,
     accepted: f64,
 ) -> Result<(), Refusal> {
     let principal = symmetric_eigen(quadratic, rank.count())?;
@@ -212,7 +228,7 @@ fn require_determined(
                 gradient[product_position(a, b)] = direction[a] * direction[b];
             }
         }
-        let deviation = libm::sqrt(gradient.dot(&(covariance * gradient)).max(0.0));
+        let deviation = libm::sqrt(covariance.along(&gradient).max(0.0));
         let value = principal.values[k];
         let relative = deviation / value.abs().max(f64::MIN_POSITIVE);
         let determined = relative <= LARGEST_RELATIVE_UNCERTAINTY;

@@ -48,5 +48,6 @@ pub mod projection;
 mod quadric;
 pub mod rest_noise;
 pub mod shape;
+mod square;
 pub mod uncertainty;
 mod words;

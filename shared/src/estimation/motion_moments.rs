@@ -1,7 +1,7 @@
 //! Moments of the motion in r coordinates, and what may be done to them: a change of coordinates, of the point that they are
 //! about, and the removal of noise (design § 3.2, 3.3).
 
-use super::coordinates::{Fourth, MotionMatrix, MotionVector, Third};
+use super::coordinates::{Fourth, MotionMatrix, MotionVector, Third, carried};
 use crate::units::MAX_RANK;
 
 /// Moments ⟨y⟩, … up to degree four of the motion's r coordinates, about some point.
@@ -66,11 +66,8 @@ impl MotionMoments {
     #[inline(never)]
     pub fn transformed(&self, matrix: &MotionMatrix) -> Self {
         let row = |a: usize| MotionVector::from(matrix.row(a).transpose());
-        let mut transformed = Self {
-            second: matrix * self.second * matrix.transpose(),
-            third: Third::ZERO,
-            fourth: Fourth::ZERO,
-        };
+        let mut transformed =
+            Self { second: carried(matrix, &self.second), third: Third::ZERO, fourth: Fourth::ZERO };
         // One index at a time; what is left of them stays symmetric.
         for a in 0..MAX_RANK {
             let two_of_third = self.third.along(&row(a));

@@ -4,7 +4,7 @@ use nalgebra::{SMatrix, SVector};
 
 use super::basis::{Basis, basis};
 use super::code_sums::CodeMean;
-use super::coordinates::{MotionMatrix, MotionVector, cholesky, identity, vector};
+use super::coordinates::{MotionMatrix, MotionVector, carried, cholesky, vector};
 use super::directions::DirectionMoments;
 use super::eigen::symmetric_eigen;
 use super::metric::{
@@ -107,20 +107,12 @@ pub(crate) fn solve_within<const GAGES: usize>(
 ) -> Result<TrialSolution<GAGES>, Refusal> {
     let samples = quiet.samples();
     require_samples(samples, subspace.rank)?;
-    let &Basis {
-        rank,
-        projection,
-        embedding,
-        variances,
-        eigenvalues,
-        noise_variance,
-        rounding,
-        relative_noise,
-    } = subspace;
+    let Basis { rank, projection, embedding, variances, noise_variance, .. } = subspace;
+    let rank = *rank;
     let deviations = variances.map(libm::sqrt);
     let whitening = MotionMatrix::from_diagonal(&vector(rank, |axis| 1.0 / deviations[axis]));
     // Where nothing tells the noise, there is at least the rounding.
-    let noise = noise_variance.unwrap_or(rounding);
+    let noise = noise_variance.unwrap_or(subspace.rounding);
     let whitened_noise = vector(rank, |axis| noise / variances[axis]);
     let (metric, noise_shift) = constraint(subspace, quiet, &whitening, noise, accepted)?;
 
@@ -140,15 +132,15 @@ pub(crate) fn solve_within<const GAGES: usize>(
         all.counts + embedding * quiet_from_all + indeterminate_shape.transpose() * metric.centre;
 
     let to_direction = orientation * factor.l().transpose();
-    let load_noise = to_direction * MotionMatrix::from_diagonal(&whitened_noise) * to_direction.transpose();
+    let load_noise = carried(&to_direction, &MotionMatrix::from_diagonal(&whitened_noise));
     let directions =
         directions(rank, quiet, &(to_direction * whitening), &(to_direction * -metric.centre), &load_noise);
     let mean_of_all = to_direction * (-metric.centre - whitening * quiet_from_all);
-    let free_of_noise = identity(rank) - MotionMatrix::from_diagonal(&whitened_noise);
+    // Whitened, the variances are one, noise included.
+    let free_of_noise = to_direction * to_direction.transpose() - load_noise;
     let regressors = Regressors {
         mean: mean_of_all,
-        second: to_direction * free_of_noise * to_direction.transpose()
-            + mean_of_all * mean_of_all.transpose(),
+        second: free_of_noise + mean_of_all * mean_of_all.transpose(),
         samples: all.samples,
     };
     let unexplained =
@@ -156,7 +148,7 @@ pub(crate) fn solve_within<const GAGES: usize>(
     let unexplained = unexplained + lasting(rank, unexplained, &load_noise, samples, runs);
     let mut uncertainty = predict(&directions, &regressors, &load_noise, noise, unexplained, samples)?;
     if let Some(NoiseShift { metric, centre }) = noise_shift {
-        uncertainty.add_shift(&(orientation * metric * orientation.transpose()), &(orientation * centre));
+        uncertainty.add_shift(&carried(&orientation, &metric), &(orientation * centre));
     }
     // A cap of directions may determine the principal values of the constraint, and leave the bias and a gain to trade places.
     let worst = uncertainty.worst_relative();
@@ -171,13 +163,13 @@ pub(crate) fn solve_within<const GAGES: usize>(
         rank,
         shape_counts_per_load,
         bias_counts,
-        eigenvalues,
-        noise_variance,
+        eigenvalues: subspace.eigenvalues,
+        noise_variance: *noise_variance,
         samples,
         unexplained: metric.unexplained,
         to_load: to_direction * whitening * projection.transpose(),
         load_noise,
-        redundant_noise: relative_noise - embedding * embedding.transpose(),
+        redundant_noise: subspace.redundant_noise(),
         directions,
         uncertainty,
     })

@@ -13,7 +13,7 @@
 //!    covariance σ² (n ⟨(m, 1)(m, 1)ᵀ⟩)⁻¹ ⊗ P, where P = R − Sᵀ(SR⁻¹Sᵀ)⁻¹S is what the noise has there (the projection onto
 //!    them where R = I).
 
-use nalgebra::{Cholesky, SMatrix, SVector};
+use nalgebra::{SMatrix, SVector};
 
 use super::coordinates::{MotionMatrix, MotionVector, identity};
 use super::directions::{DirectionMoments, for_each_direction};
@@ -21,6 +21,7 @@ use super::eigen::symmetric_eigen;
 use super::quadric::{
     Coefficients, UNKNOWNS, linear_position, monomials, normal_matrix, positions, product_position,
 };
+use super::square::invert;
 use crate::refusal::Refusal;
 use crate::units::{MAX_RANK, Rank};
 
@@ -74,21 +75,27 @@ pub fn predict(
     let constant = 4.0 * least_noise + 2.0 * load_noise.norm_squared() + unexplained;
 
     // Ψ, and ⟨φφᵀ v⟩ with the constant part of v exactly and the rest over the directions.
-    let normal = normal_matrix(&directions.higher, rank);
-    let excess = load_noise - identity(rank) * least_noise;
-    let inverse = Cholesky::new(normal).ok_or(undetermined)?.inverse();
-    let mut along = spread_over_directions(directions, &(excess * 4.0));
-    along += normal * constant;
-    along = inverse * along * inverse;
+    let mut inverse = normal_matrix(&directions.higher, rank);
+    invert(&mut inverse).map_err(|_| undetermined)?;
+    let mut along = SMatrix::zeros();
+    spread_over_directions(directions, &((load_noise - identity(rank) * least_noise) * 4.0), &mut along);
+    between(&inverse, &mut along);
+    for (spread, inverse) in along.iter_mut().zip(&inverse) {
+        *spread += constant * inverse;
+    }
     // Where the load has been in a small part of all directions, degree four is too coarse for the density, and the constraint
     // all but blind where it then puts some of it. v is nowhere more than with the noise of the noisiest direction.
     let most = constant + 4.0 * (most_noise - least_noise);
     let bounded = (0..UNKNOWNS).map(|k| along[(k, k)] / inverse[(k, k)]).fold(0.0, f64::max) <= most;
-    if !bounded {
-        along = inverse * most;
-    }
+    let share = 1.0 / samples.max(1) as f64;
     let halves = halves(rank);
-    along.component_mul_assign(&(halves * halves.transpose() / samples.max(1) as f64));
+    for row in 0..UNKNOWNS {
+        for column in 0..UNKNOWNS {
+            let place = (row, column);
+            let whole = if bounded { along[place] } else { inverse[place] * most };
+            along[place] = whole * share * halves[row] * halves[column];
+        }
+    }
 
     let mut regression = SMatrix::<f64, REGRESSORS, REGRESSORS>::identity();
     for a in rank.axes() {
@@ -98,8 +105,8 @@ pub fn predict(
         regression[(a, REGRESSORS - 1)] = regressors.mean[a];
         regression[(REGRESSORS - 1, a)] = regressors.mean[a];
     }
-    let mut across = Cholesky::new(regression).ok_or(undetermined)?.inverse()
-        * (noise_variance / regressors.samples.max(1) as f64);
+    invert(&mut regression).map_err(|_| undetermined)?;
+    let mut across = regression * (noise_variance / regressors.samples.max(1) as f64);
     for beyond in rank.count()..MAX_RANK {
         across[(beyond, beyond)] = 0.0;
     }
@@ -110,13 +117,21 @@ pub fn predict(
     }
 }
 
+/// Replaces B by ABA.
+#[inline(never)]
+fn between(outer: &SMatrix<f64, UNKNOWNS, UNKNOWNS>, inner: &mut SMatrix<f64, UNKNOWNS, UNKNOWNS>) {
+    let half = outer * *inner;
+    half.mul_to(outer, inner);
+}
+
 /// ⟨φφᵀ mᵀDm⟩ over the directions m of the load. In single precision: it is a sum over many directions, of a density that is no
 /// better.
 #[inline(never)]
 fn spread_over_directions(
     directions: &DirectionMoments,
     noise: &MotionMatrix,
-) -> SMatrix<f64, UNKNOWNS, UNKNOWNS> {
+    sum: &mut SMatrix<f64, UNKNOWNS, UNKNOWNS>,
+) {
     let density = directions.density();
     // Brought to order one, far from what single precision underflows at.
     let scale = noise.amax().max(f64::MIN_POSITIVE);
@@ -135,7 +150,9 @@ fn spread_over_directions(
         }
     });
     spread.fill_lower_triangle_with_upper_triangle();
-    spread.map(|element| f64::from(element) * scale)
+    for (sum, element) in sum.iter_mut().zip(&spread) {
+        *sum = f64::from(*element) * scale;
+    }
 }
 
 impl TrialUncertainty {
