@@ -47,7 +47,14 @@ pub fn identity(rank: Rank) -> MotionMatrix {
     MotionMatrix::from_diagonal(&vector(rank, |_| 1.0))
 }
 
+/// AB.
+#[inline(never)]
+pub(super) fn product(left: &MotionMatrix, right: &MotionMatrix) -> MotionMatrix {
+    left * right
+}
+
 /// The Cholesky factor of a positive definite matrix; beyond the rank that of the identity, so that it may be divided by.
+#[inline(never)]
 pub fn cholesky(matrix: &MotionMatrix, rank: Rank) -> Option<Cholesky<f64, Const<MAX_RANK>>> {
     let mut matrix = *matrix;
     for axis in rank.count()..MAX_RANK {
@@ -59,7 +66,7 @@ pub fn cholesky(matrix: &MotionMatrix, rank: Rank) -> Option<Cholesky<f64, Const
 /// B M Bᵀ: a covariance of y as one of B y.
 #[inline(never)]
 pub(super) fn carried(by: &MotionMatrix, matrix: &MotionMatrix) -> MotionMatrix {
-    by * matrix * by.transpose()
+    product(&product(by, matrix), &by.transpose())
 }
 
 /// Where an element with these indices stands.

@@ -8,7 +8,7 @@
 
 use nalgebra::SMatrix;
 
-use super::coordinates::{MotionMatrix, MotionVector, cholesky, identity, vector};
+use super::coordinates::{MotionMatrix, MotionVector, carried, cholesky, identity, vector};
 use super::eigen::symmetric_eigen;
 use super::motion_moments::MotionMoments;
 use super::quadric::{Coefficients, UNKNOWNS, linear_position, monomials, normal_matrix, product_position};
@@ -87,7 +87,7 @@ pub fn metric(
     // What the constraint leaves unexplained, and the noise, which the moments have been freed of: to first order it
     // moves xᵀQx + gᵀx by its product with the gradient 2Qx + g.
     let unexplained = (1.0 - solution.dot(right)).max(0.0);
-    let squared_gradient = (quadratic * second * quadratic * 4.0).diagonal() + linear.component_mul(&linear);
+    let squared_gradient = carried(&quadratic, second).diagonal() * 4.0 + linear.component_mul(&linear);
     let of_samples = (unexplained + squared_gradient.dot(&noise)) / samples.max(1) as f64;
     let covariance = Covariance { inverse, of_samples, of_rounding: rounding(rank, &solution, variances) };
     require_determined(rank, &quadratic, &covariance, accepted)?;
@@ -162,9 +162,8 @@ pub fn require_indifference_to_noise(
     samples: u64,
     accepted: f64,
 ) -> Result<NoiseShift, Refusal> {
-    let m = &found.matrix;
     let about_centre = moments.second + found.centre * found.centre.transpose();
-    let squared_gradient = (m * about_centre * m * 4.0).diagonal();
+    let squared_gradient = carried(&found.matrix, &about_centre).diagonal() * 4.0;
     let shares = vector(rank, |axis| 1.0 / variances[axis]);
     let most = found.unexplained.max(LEAST_UNEXPLAINED) / squared_gradient.dot(&shares);
     let other = metric(rank, moments, variances, most, samples, accepted)?;

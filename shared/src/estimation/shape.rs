@@ -4,7 +4,7 @@ use nalgebra::{SMatrix, SVector};
 
 use super::basis::{Basis, basis};
 use super::code_sums::CodeMean;
-use super::coordinates::{MotionMatrix, MotionVector, carried, cholesky, vector};
+use super::coordinates::{MotionMatrix, MotionVector, carried, cholesky, product, vector};
 use super::directions::DirectionMoments;
 use super::eigen::symmetric_eigen;
 use super::metric::{
@@ -131,13 +131,18 @@ pub(crate) fn solve_within<const GAGES: usize>(
     let bias_counts =
         all.counts + embedding * quiet_from_all + indeterminate_shape.transpose() * metric.centre;
 
-    let to_direction = orientation * factor.l().transpose();
+    let to_direction = product(&orientation, &factor.l().transpose());
     let load_noise = carried(&to_direction, &MotionMatrix::from_diagonal(&whitened_noise));
-    let directions =
-        directions(rank, quiet, &(to_direction * whitening), &(to_direction * -metric.centre), &load_noise);
+    let directions = directions(
+        rank,
+        quiet,
+        &product(&to_direction, &whitening),
+        &(to_direction * -metric.centre),
+        &load_noise,
+    );
     let mean_of_all = to_direction * (-metric.centre - whitening * quiet_from_all);
     // Whitened, the variances are one, noise included.
-    let free_of_noise = to_direction * to_direction.transpose() - load_noise;
+    let free_of_noise = product(&to_direction, &to_direction.transpose()) - load_noise;
     let regressors = Regressors {
         mean: mean_of_all,
         second: free_of_noise + mean_of_all * mean_of_all.transpose(),
@@ -167,7 +172,7 @@ pub(crate) fn solve_within<const GAGES: usize>(
         noise_variance: *noise_variance,
         samples,
         unexplained: metric.unexplained,
-        to_load: to_direction * whitening * projection.transpose(),
+        to_load: product(&to_direction, &whitening) * projection.transpose(),
         load_noise,
         redundant_noise: subspace.redundant_noise(),
         directions,
