@@ -13,7 +13,7 @@ use ftcal_shared::estimation::coverage;
 use ftcal_shared::estimation::gate::{BLOCK, Quietness, Verdict};
 use ftcal_shared::estimation::shape::TrialSolution;
 use ftcal_shared::refusal::Refusal;
-use ftcal_shared::units::{AdcCode, SampleIndex};
+use ftcal_shared::units::{AdcCode, Rank, SampleIndex};
 use ftcal_shared::wire::{
     Coverage, GageList, GageTarget, Rejection, Response, Resumption, Solution, TrialPhase, TrialStatus,
 };
@@ -149,10 +149,9 @@ where
     /// [`Rejection::TrialBusy`], [`Rejection::UnsupportedRank`].
     pub fn may_start(&self, rank: u8) -> Result<(), Rejection> {
         self.require_idle()?;
-        if (2..=3).contains(&rank) && usize::from(rank) <= GAGES {
-            Ok(())
-        } else {
-            Err(Rejection::UnsupportedRank)
+        match Rank::new(rank.into()) {
+            Some(rank) if rank.count() <= GAGES => Ok(()),
+            _ => Err(Rejection::UnsupportedRank),
         }
     }
 
@@ -350,11 +349,9 @@ where
     }
 
     fn coverage(&mut self) -> Result<Coverage, Refusal> {
+        let rank = self.rank()?;
         self.store.settle();
-        match self.rank {
-            2 => self.store.coverage::<2>().map(|covered| coverage_on_the_wire(&covered)),
-            _ => self.store.coverage::<3>().map(|covered| coverage_on_the_wire(&covered)),
-        }
+        self.store.coverage(rank).map(|covered| coverage_on_the_wire(&covered, rank))
     }
 
     /// Solves the trial. Takes millions of instructions: not for the sample path.
@@ -364,11 +361,7 @@ where
     /// Every refusal of [`Bins::solve`]; [`Refusal::Saturated`] where saturation has left too few samples.
     pub fn solve(&mut self) -> Result<Solution, Refusal> {
         self.store.finish();
-        let solution = match self.rank {
-            2 => self.solve_of_rank::<2>(),
-            _ => self.solve_of_rank::<3>(),
-        };
-        match solution {
+        match self.solve_finished() {
             Err(Refusal::TooFewSamples { .. }) if self.counts.saturated > 0 => {
                 Err(Refusal::Saturated { samples: u64::from(self.counts.saturated) })
             }
@@ -376,9 +369,9 @@ where
         }
     }
 
-    fn solve_of_rank<const RANK: usize>(&mut self) -> Result<Solution, Refusal> {
+    fn solve_finished(&mut self) -> Result<Solution, Refusal> {
         self.left_out = LeftOut::default();
-        let solved = self.store.solve::<RANK>();
+        let solved = self.store.solve(self.rank()?);
         let QuietSolution { solution, up_to } = solved.as_ref().map_err(|refusal| *refusal)?;
         let answer = on_the_wire(solution)?;
         let left_out = self.counts.taken.saturating_sub(answer.samples);
@@ -386,23 +379,30 @@ where
         self.left_out = LeftOut { moving: left_out.saturating_sub(off_magnitude), off_magnitude };
         Ok(answer)
     }
+
+    fn rank(&self) -> Result<Rank, Refusal> {
+        Rank::new(self.rank.into()).ok_or(unsupported::<GAGES>(self.rank))
+    }
 }
 
-fn on_the_wire<const GAGES: usize, const RANK: usize>(
-    solved: &TrialSolution<GAGES, RANK>,
-) -> Result<Solution, Refusal> {
-    #[expect(clippy::cast_possible_truncation, reason = "at most 12 gages and rank 3")]
-    let unsupported = Refusal::UnsupportedDimensions { gages: GAGES as u8, rank: RANK as u8 };
+#[expect(clippy::cast_possible_truncation, reason = "at most 12 gages")]
+const fn unsupported<const GAGES: usize>(rank: u8) -> Refusal {
+    Refusal::UnsupportedDimensions { gages: GAGES as u8, rank }
+}
+
+fn on_the_wire<const GAGES: usize>(solved: &TrialSolution<GAGES>) -> Result<Solution, Refusal> {
+    #[expect(clippy::cast_possible_truncation, reason = "2 or 3")]
+    let rank = solved.rank.count() as u8;
+    let unsupported = unsupported::<GAGES>(rank);
     let mut shape_counts_per_load = heapless::Vec::new();
-    for row in 0..RANK {
+    for row in solved.rank.axes() {
         for gage in 0..GAGES {
             let element = solved.shape_counts_per_load[(row, gage)];
             shape_counts_per_load.push(element).map_err(|_| unsupported)?;
         }
     }
     Ok(Solution {
-        #[expect(clippy::cast_possible_truncation, reason = "rank 2 or 3")]
-        rank: RANK as u8,
+        rank,
         shape_counts_per_load,
         bias_counts: GageList::from_slice(solved.bias_counts.as_slice()).map_err(|_| unsupported)?,
         eigenvalues: GageList::from_slice(solved.eigenvalues.as_slice()).map_err(|_| unsupported)?,
@@ -412,9 +412,8 @@ fn on_the_wire<const GAGES: usize, const RANK: usize>(
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "a report of seven digits")]
-fn coverage_on_the_wire<const GAGES: usize, const RANK: usize>(
-    covered: &coverage::Coverage<GAGES, RANK>,
-) -> Coverage {
+fn coverage_on_the_wire<const GAGES: usize>(covered: &coverage::Coverage<GAGES>, rank: Rank) -> Coverage {
+    let deviations = &covered.shape_deviation_counts_per_load;
     let target = |target: &coverage::GageTarget| GageTarget {
         gage: target.gage,
         counts: target.counts as f32,
@@ -426,12 +425,9 @@ fn coverage_on_the_wire<const GAGES: usize, const RANK: usize>(
         worst_relative_uncertainty: covered.worst_relative_uncertainty as f32,
         targets: covered.targets.iter().map(target).collect(),
         bias_deviation_counts: covered.bias_deviation_counts.iter().map(|&counts| counts as f32).collect(),
-        // Row by row; nalgebra stores column by column.
-        shape_deviation_counts_per_load: covered
-            .shape_deviation_counts_per_load
-            .transpose()
-            .iter()
-            .map(|&counts| counts as f32)
+        shape_deviation_counts_per_load: rank
+            .axes()
+            .flat_map(|row| (0..GAGES).map(move |gage| deviations[(row, gage)] as f32))
             .collect(),
     }
 }

@@ -3,7 +3,7 @@
 pub mod hand;
 
 use ftcal_shared::estimation::moments::Moments;
-use ftcal_shared::units::AdcCode;
+use ftcal_shared::units::{AdcCode, Rank};
 use nalgebra::{DMatrix, SMatrix, SVector};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -67,6 +67,11 @@ impl<const GAGES: usize, const RANK: usize> KnownSensor<GAGES, RANK> {
     }
 }
 
+/// The rank of this number of directions.
+pub fn rank<const RANK: usize>() -> Rank {
+    Rank::new(RANK).expect("a trial's rank is 2 or 3")
+}
+
 /// The settled moments of these codes about the first of them.
 pub fn moments_of<const GAGES: usize, const HIGHER: usize>(
     codes: &[[AdcCode; GAGES]],
@@ -81,9 +86,9 @@ pub fn moments_of<const GAGES: usize, const HIGHER: usize>(
 
 /// The largest relative difference between two shapes, whatever their orientation: of SᵀS, which a rotation or a mirror
 /// image leaves alone.
-pub fn shape_difference<const GAGES: usize, const RANK: usize>(
-    left: &SMatrix<f64, RANK, GAGES>,
-    right: &SMatrix<f64, RANK, GAGES>,
+pub fn shape_difference<const GAGES: usize, const ROWS: usize, const OTHER_ROWS: usize>(
+    left: &SMatrix<f64, ROWS, GAGES>,
+    right: &SMatrix<f64, OTHER_ROWS, GAGES>,
 ) -> f64 {
     let (left, right) = (left.transpose() * left, right.transpose() * right);
     (left - right).amax() / right.amax()

@@ -3,7 +3,7 @@
 use ftcal_shared::estimation::bins::{Bins, QuietSolution};
 use ftcal_shared::estimation::gate::Verdict;
 use ftcal_shared::estimation::moments::higher_moment_count;
-use ftcal_shared::units::AdcCode;
+use ftcal_shared::units::{AdcCode, Rank};
 use ftcal_tests::{KnownSensor, random};
 use nalgebra::{SMatrix, Vector3};
 use rand_chacha::ChaCha8Rng;
@@ -41,14 +41,14 @@ fn rests<const GAGES: usize>(
 fn solve<const GAGES: usize, const HIGHER: usize>(
     codes: &[[AdcCode; GAGES]],
     gated: bool,
-) -> QuietSolution<GAGES, 3> {
+) -> QuietSolution<GAGES> {
     let mut bins = Box::new(Bins::<GAGES, HIGHER>::new());
     for codes in codes {
         let verdict = if gated { bins.offer(codes) } else { bins.offer_ungated(codes) };
         assert_eq!(verdict, Ok(Verdict::Accepted));
     }
     bins.finish();
-    bins.solve().expect("the motion spans")
+    bins.solve(Rank::Spatial).expect("the motion spans")
 }
 
 /// SᵀS, which has no orientation, of the six quiet gages among eight.
@@ -73,7 +73,7 @@ fn channels_that_differ_are_weighted_by_what_they_are_worth() {
         let sensor = KnownSensor::<8, 3>::random(&mut rng, SIGNAL, 0.0);
         let codes = rests(&sensor, &noise, &mut rng);
         let truth = quiet_gages(&sensor.shape);
-        let error = |solved: &QuietSolution<8, 3>| {
+        let error = |solved: &QuietSolution<8>| {
             (quiet_gages(&solved.solution.shape_counts_per_load) - truth).norm() / truth.norm()
         };
         weighted.push(error(&solve::<8, { higher_moment_count(8) }>(&codes, true)));

@@ -24,7 +24,7 @@ use ftcal_firmware::tunnel::ANSWER_MICROS;
 use ftcal_shared::estimation::bins::Bins;
 use ftcal_shared::estimation::moments::higher_moment_count;
 use ftcal_shared::fault::AdcFault;
-use ftcal_shared::units::{AdcCode, DataRate, DeviceTime, Gain};
+use ftcal_shared::units::{AdcCode, DataRate, DeviceTime, Gain, Rank};
 use ftcal_shared::wire::{
     AdcState, CalibrationUpload, ClockSource, CodesFrame, GageList, StreamKind, TrialPhase,
 };
@@ -150,7 +150,7 @@ fn a_trial_is_run_and_solved_and_wrenches_are_measured() {
         bins.offer(&codes(frame)).unwrap();
     }
     bins.finish();
-    let expected = bins.solve::<3>().unwrap().solution;
+    let expected = bins.solve(Rank::Spatial).unwrap().solution;
 
     let solution = client.solve_trial().unwrap();
     assert_eq!(u64::from(solution.samples), expected.samples);

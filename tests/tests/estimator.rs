@@ -10,14 +10,14 @@ use ftcal_shared::estimation::calibration::calibration_matrix;
 use ftcal_shared::estimation::moments::Moments;
 use ftcal_shared::estimation::shape::{TrialSolution, solve_trial};
 use ftcal_shared::refusal::Refusal;
-use ftcal_shared::units::{AdcCode, Dof};
+use ftcal_shared::units::{AdcCode, Dof, MAX_RANK, Rank};
 use ftcal_tests::{KnownSensor, moments_of, random, shape_difference};
 use nalgebra::{Rotation3, SMatrix, SVector, Vector3};
 use proptest::prelude::{ProptestConfig, any, prop_assert, prop_assert_eq, proptest};
 use rand_distr::{Distribution, StandardNormal};
 
-fn solve_wrist(codes: &[[AdcCode; 8]]) -> Result<TrialSolution<8, 3>, Refusal> {
-    solve_trial::<8, 450, 3>(&moments_of(codes))
+fn solve_wrist(codes: &[[AdcCode; 8]]) -> Result<TrialSolution<8>, Refusal> {
+    solve_trial::<8, 450>(&moments_of(codes), Rank::Spatial)
 }
 
 /// Relative error of SᵀS to expect: an off-diagonal coefficient of an isotropic sensor has a standard deviation of
@@ -44,7 +44,7 @@ proptest! {
     fn a_planar_trial_recovers_shape_and_bias(seed in any::<u64>()) {
         let mut rng = random(seed);
         let sensor = KnownSensor::<4, 2>::random(&mut rng, 300_000.0, 300.0);
-        let solution = solve_trial::<4, 55, 2>(&moments_of(&sensor.trial(2000, &mut rng))).unwrap();
+        let solution = solve_trial::<4, 55>(&moments_of(&sensor.trial(2000, &mut rng)), Rank::Planar).unwrap();
         let error = shape_difference(&solution.shape_counts_per_load, &sensor.shape);
         prop_assert!(error < allowed(1e-3, 2000.0), "{error}");
     }
@@ -90,7 +90,7 @@ proptest! {
         prop_assert_eq!(left.codes().mean().counts, one_pass.codes().mean().counts);
         // All sums, through the solution: to the rounding of the sums of degree 3 and 4.
         let [left, right, one_pass] =
-            [left, right, one_pass].map(|moments| solve_trial::<4, 55, 3>(&moments).unwrap().shape_counts_per_load);
+            [left, right, one_pass].map(|moments| solve_trial::<4, 55>(&moments, Rank::Spatial).unwrap().shape_counts_per_load);
         prop_assert!(shape_difference(&left, &right) < 1e-5);
         prop_assert!(shape_difference(&left, &one_pass) < 1e-5);
     }
@@ -106,8 +106,8 @@ proptest! {
             (0..500).map(|_| Vector3::from_fn(|_, _| rand_distr::Distribution::sample(&rand_distr::StandardNormal, &mut rng))).collect();
         let codes: Vec<_> = directions.iter().map(|m| sensor.codes(m, &mut rng)).collect();
         let codes_turned: Vec<_> = directions.iter().map(|m| turned.codes(&(turn * m), &mut rng)).collect();
-        let solution = solve_trial::<6, 182, 3>(&moments_of(&codes)).unwrap();
-        let solution_turned = solve_trial::<6, 182, 3>(&moments_of(&codes_turned)).unwrap();
+        let solution = solve_trial::<6, 182>(&moments_of(&codes), Rank::Spatial).unwrap();
+        let solution_turned = solve_trial::<6, 182>(&moments_of(&codes_turned), Rank::Spatial).unwrap();
         let difference = shape_difference(&solution.shape_counts_per_load, &solution_turned.shape_counts_per_load);
         prop_assert!(difference < 1e-5, "{difference}");
     }
@@ -121,7 +121,7 @@ proptest! {
             codes.iter().map(|sample| core::array::from_fn(|gage| sample[(gage + rotation) % 8])).collect();
         let solution = solve_wrist(&codes).unwrap();
         let solution_permuted = solve_wrist(&permuted).unwrap();
-        let back = SMatrix::<f64, 3, 8>::from_fn(|row, gage| {
+        let back = SMatrix::<f64, MAX_RANK, 8>::from_fn(|row, gage| {
             solution_permuted.shape_counts_per_load[(row, (gage + 8 - rotation) % 8)]
         });
         let difference = shape_difference(&solution.shape_counts_per_load, &back);
@@ -155,7 +155,7 @@ proptest! {
 
         let three = KnownSensor::<3, 3>::random(&mut rng, 300_000.0, 300.0);
         let planar = KnownSensor { shape: three.shape.fixed_rows::<2>(0).into_owned(), bias: three.bias, noise: three.noise };
-        prop_assert!(solve_trial::<3, 25, 3>(&moments_of(&planar.trial(2000, &mut rng))).is_err());
+        prop_assert!(solve_trial::<3, 25>(&moments_of(&planar.trial(2000, &mut rng)), Rank::Spatial).is_err());
     }
 
     /// The six faces of a cube leave three of nine coefficients open (design § 4).
@@ -223,7 +223,7 @@ fn a_rank_too_low_is_refused() {
         let mut rng = random(seed);
         let sensor = KnownSensor::<8, 3>::random(&mut rng, 300_000.0, 300.0);
         let moments = moments_of::<8, 450>(&sensor.trial(2000, &mut rng));
-        let refusal = solve_trial::<8, 450, 2>(&moments).expect_err("the load turns in space");
+        let refusal = solve_trial::<8, 450>(&moments, Rank::Planar).expect_err("the load turns in space");
         assert!(
             matches!(refusal, Refusal::RankExceeded { .. } | Refusal::NoEigenvalueGap { .. }),
             "{refusal:?}"
@@ -234,7 +234,10 @@ fn a_rank_too_low_is_refused() {
 #[test]
 fn nothing_and_too_little_are_refused() {
     let empty = moments_of::<8, 450>(&[]);
-    assert!(matches!(solve_trial::<8, 450, 3>(&empty), Err(Refusal::TooFewSamples { have: 0, .. })));
+    assert!(matches!(
+        solve_trial::<8, 450>(&empty, Rank::Spatial),
+        Err(Refusal::TooFewSamples { have: 0, .. })
+    ));
     let mut rng = random(1);
     let sensor = KnownSensor::<8, 3>::random(&mut rng, 300_000.0, 300.0);
     assert!(matches!(solve_wrist(&sensor.trial(10, &mut rng)), Err(Refusal::TooFewSamples { have: 10, .. })));
@@ -258,8 +261,8 @@ fn noise_is_not_taken_for_a_motion_where_nothing_redundant_tells_it() {
         let mut rng = random(seed);
         let sensor = KnownSensor::<3, 3>::random(&mut rng, 300_000.0, 300.0);
         let rest: Vec<_> = (0..1000).map(|_| sensor.codes(&Vector3::z(), &mut rng)).collect();
-        assert!(solve_trial::<3, 25, 3>(&moments_of(&rest)).is_err());
+        assert!(solve_trial::<3, 25>(&moments_of(&rest), Rank::Spatial).is_err());
         let turning = sensor.trial(1000, &mut rng);
-        assert!(solve_trial::<3, 25, 3>(&moments_of(&turning)).is_ok());
+        assert!(solve_trial::<3, 25>(&moments_of(&turning), Rank::Spatial).is_ok());
     }
 }

@@ -4,7 +4,7 @@
 use ftcal_shared::estimation::bins::{Bins, QuietSolution};
 use ftcal_shared::estimation::gate::{Quietness, Verdict};
 use ftcal_shared::estimation::moments::higher_moment_count;
-use ftcal_shared::units::AdcCode;
+use ftcal_shared::units::{AdcCode, Rank};
 use ftcal_tests::hand::{Pose, codes, hand};
 use ftcal_tests::{KnownSensor, random};
 use nalgebra::{SMatrix, Vector3};
@@ -29,12 +29,12 @@ fn bins_of(codes: &[Codes], gated: bool) -> Box<Bins<GAGES, HIGHER>> {
     bins
 }
 
-fn solve(codes: &[Codes], gated: bool) -> QuietSolution<GAGES, 3> {
-    bins_of(codes, gated).solve().unwrap()
+fn solve(codes: &[Codes], gated: bool) -> QuietSolution<GAGES> {
+    bins_of(codes, gated).solve(Rank::Spatial).unwrap()
 }
 
 /// Error of SᵀS, which has no orientation, relative.
-fn error(sensor: &KnownSensor<GAGES, 3>, solved: &QuietSolution<GAGES, 3>) -> f64 {
+fn error(sensor: &KnownSensor<GAGES, 3>, solved: &QuietSolution<GAGES>) -> f64 {
     let gram = |shape: &SMatrix<f64, 3, GAGES>| shape.transpose() * shape;
     let truth = gram(&sensor.shape);
     (gram(&solved.solution.shape_counts_per_load) - truth).norm() / truth.norm()

@@ -25,20 +25,21 @@ pub struct TrialCovariance {
 
 impl TrialCovariance {
     /// The estimator's prediction, whose codes are `counts_per_code` counts each.
-    pub fn new<const GAGES: usize, const RANK: usize>(
-        uncertainty: &TrialUncertainty<RANK>,
+    pub fn new<const GAGES: usize>(
+        uncertainty: &TrialUncertainty,
         redundant_noise: &SMatrix<f64, GAGES, GAGES>,
         counts_per_code: f64,
     ) -> Self {
-        let unknowns = RANK * (RANK + 1) / 2 + RANK;
-        let regressors = uncertainty.across().nrows();
-        let position = |regressor: usize| if regressor < RANK { regressor } else { regressors - 1 };
+        let unknowns: Vec<usize> = uncertainty.unknowns().collect();
+        let regressors: Vec<usize> = uncertainty.regressors().collect();
+        let of = |all: &dyn Fn(usize, usize) -> f64, positions: &[usize]| {
+            DMatrix::from_fn(positions.len(), positions.len(), |a, b| all(positions[a], positions[b]))
+        };
         Self {
-            along: DMatrix::from_fn(unknowns, unknowns, |a, b| uncertainty.along()[(a, b)]),
+            along: of(&|a, b| uncertainty.along()[(a, b)], &unknowns),
             redundant_noise: DMatrix::from_column_slice(GAGES, GAGES, redundant_noise.as_slice()),
-            across: DMatrix::from_fn(RANK + 1, RANK + 1, |a, b| {
-                uncertainty.across()[(position(a), position(b))] * counts_per_code * counts_per_code
-            }),
+            across: of(&|a, b| uncertainty.across()[(a, b)], &regressors)
+                * (counts_per_code * counts_per_code),
         }
     }
 

@@ -42,8 +42,8 @@ impl TrialCoverage {
     /// # Errors
     ///
     /// Those of [`coverage()`].
-    pub fn new<const GAGES: usize, const RANK: usize>(
-        solution: &TrialSolution<GAGES, RANK>,
+    pub fn new<const GAGES: usize>(
+        solution: &TrialSolution<GAGES>,
         quantisation: &Quantisation,
     ) -> Result<Self, Refusal> {
         let (step, offsets) = (quantisation.counts_per_code(), quantisation.offset_counts());

@@ -12,7 +12,7 @@ use ftcal_shared::estimation::expectation::Expectation;
 use ftcal_shared::estimation::gate::Quietness;
 use ftcal_shared::estimation::moments::higher_moment_count;
 use ftcal_shared::refusal::Refusal;
-use ftcal_shared::units::AdcCode;
+use ftcal_shared::units::{AdcCode, Rank};
 use nalgebra::{DMatrix, DVector};
 
 use super::covariance::TrialCovariance;
@@ -88,36 +88,31 @@ impl TrialShape {
 ///
 /// Every refusal of the estimator; [`Refusal::Saturated`] where no sample is left but saturated ones.
 pub fn solve(recording: &Recording, rank: usize, gating: Gating) -> Result<TrialShape, Refusal> {
-    match rank {
-        2 => solve_rank::<2>(recording, gating),
-        3 => solve_rank::<3>(recording, gating),
-        _ => Err(unsupported(recording.gages(), rank)),
-    }
-}
-
-fn solve_rank<const RANK: usize>(recording: &Recording, gating: Gating) -> Result<TrialShape, Refusal> {
+    let unsupported = unsupported(recording.gages(), rank);
+    let rank = Rank::new(rank).ok_or(unsupported)?;
     match recording.gages() {
-        2 => solve_gages::<2, { higher_moment_count(2) }, RANK>(recording, gating),
-        3 => solve_gages::<3, { higher_moment_count(3) }, RANK>(recording, gating),
-        4 => solve_gages::<4, { higher_moment_count(4) }, RANK>(recording, gating),
-        5 => solve_gages::<5, { higher_moment_count(5) }, RANK>(recording, gating),
-        6 => solve_gages::<6, { higher_moment_count(6) }, RANK>(recording, gating),
-        7 => solve_gages::<7, { higher_moment_count(7) }, RANK>(recording, gating),
-        8 => solve_gages::<8, { higher_moment_count(8) }, RANK>(recording, gating),
-        9 => solve_gages::<9, { higher_moment_count(9) }, RANK>(recording, gating),
-        10 => solve_gages::<10, { higher_moment_count(10) }, RANK>(recording, gating),
-        11 => solve_gages::<11, { higher_moment_count(11) }, RANK>(recording, gating),
-        12 => solve_gages::<12, { higher_moment_count(12) }, RANK>(recording, gating),
-        gages => Err(unsupported(gages, RANK)),
+        2 => solve_gages::<2, { higher_moment_count(2) }>(recording, rank, gating),
+        3 => solve_gages::<3, { higher_moment_count(3) }>(recording, rank, gating),
+        4 => solve_gages::<4, { higher_moment_count(4) }>(recording, rank, gating),
+        5 => solve_gages::<5, { higher_moment_count(5) }>(recording, rank, gating),
+        6 => solve_gages::<6, { higher_moment_count(6) }>(recording, rank, gating),
+        7 => solve_gages::<7, { higher_moment_count(7) }>(recording, rank, gating),
+        8 => solve_gages::<8, { higher_moment_count(8) }>(recording, rank, gating),
+        9 => solve_gages::<9, { higher_moment_count(9) }>(recording, rank, gating),
+        10 => solve_gages::<10, { higher_moment_count(10) }>(recording, rank, gating),
+        11 => solve_gages::<11, { higher_moment_count(11) }>(recording, rank, gating),
+        12 => solve_gages::<12, { higher_moment_count(12) }>(recording, rank, gating),
+        _ => Err(unsupported),
     }
 }
 
-fn solve_gages<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
+fn solve_gages<const GAGES: usize, const HIGHER: usize>(
     recording: &Recording,
+    rank: Rank,
     gating: Gating,
 ) -> Result<TrialShape, Refusal> {
     let mut pass =
-        Pass::<GAGES, RANK>::new::<HIGHER>(recording, gating, None, first_look::<GAGES>(recording, gating))?;
+        Pass::<GAGES>::new::<HIGHER>(recording, rank, gating, None, first_look::<GAGES>(recording, gating))?;
     for _ in 1..MOST_PASSES {
         let Some(expected) = Expectation::new(&pass.quiet.solution)?.filter(|_| gating == Gating::On) else {
             break;
@@ -126,7 +121,7 @@ fn solve_gages<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
         if outcomes == pass.outcomes {
             break;
         }
-        pass = Pass::new::<HIGHER>(recording, gating, Some(expected), outcomes)?;
+        pass = Pass::new::<HIGHER>(recording, rank, gating, Some(expected), outcomes)?;
     }
     in_counts(&pass, recording)
 }
@@ -140,17 +135,18 @@ fn first_look<const GAGES: usize>(recording: &Recording, gating: Gating) -> Vec<
 }
 
 /// All samples of a recording, taken once.
-struct Pass<const GAGES: usize, const RANK: usize> {
+struct Pass<const GAGES: usize> {
     outcomes: Vec<Outcome>,
     off_magnitude: u32,
     quietest_variance: Option<f64>,
-    quiet: QuietSolution<GAGES, RANK>,
+    quiet: QuietSolution<GAGES>,
 }
 
-impl<const GAGES: usize, const RANK: usize> Pass<GAGES, RANK> {
+impl<const GAGES: usize> Pass<GAGES> {
     /// Sums the samples up, which have these outcomes, and solves.
     fn new<const HIGHER: usize>(
         recording: &Recording,
+        rank: Rank,
         gating: Gating,
         expectation: Option<Expectation<GAGES>>,
         outcomes: Vec<Outcome>,
@@ -158,14 +154,15 @@ impl<const GAGES: usize, const RANK: usize> Pass<GAGES, RANK> {
         let mut bins = Box::new(Bins::<GAGES, HIGHER>::new());
         bins.expect(expectation);
         for (_, codes) in recording.samples() {
-            let codes = <&[AdcCode; GAGES]>::try_from(codes).map_err(|_| unsupported(codes.len(), RANK))?;
+            let codes =
+                <&[AdcCode; GAGES]>::try_from(codes).map_err(|_| unsupported(codes.len(), rank.count()))?;
             match gating {
                 Gating::On | Gating::Once => bins.offer(codes),
                 Gating::Off => bins.offer_ungated(codes),
             }?;
         }
         bins.finish();
-        let quiet = bins.solve::<RANK>().map_err(|refusal| {
+        let quiet = bins.solve(rank).map_err(|refusal| {
             match (refusal, rejected(&outcomes, Rejection::Saturated)) {
                 (Refusal::TooFewSamples { .. }, samples @ 1..) => Refusal::Saturated { samples },
                 (other, _) => other,
@@ -204,15 +201,14 @@ impl<const GAGES: usize, const RANK: usize> Pass<GAGES, RANK> {
 }
 
 /// The solution in the counts of the recording.
-fn in_counts<const GAGES: usize, const RANK: usize>(
-    pass: &Pass<GAGES, RANK>,
-    recording: &Recording,
-) -> Result<TrialShape, Refusal> {
+fn in_counts<const GAGES: usize>(pass: &Pass<GAGES>, recording: &Recording) -> Result<TrialShape, Refusal> {
     let solution = &pass.quiet.solution;
     let quantisation = recording.quantisation();
     let step = quantisation.counts_per_code();
     let bias_codes = DVector::from_column_slice(solution.bias_counts.as_slice());
-    let shape_codes = DMatrix::from_column_slice(RANK, GAGES, solution.shape_counts_per_load.as_slice());
+    let shape_codes = DMatrix::from_fn(solution.rank.count(), GAGES, |row, gage| {
+        solution.shape_counts_per_load[(row, gage)]
+    });
     let shape = TrialShape {
         samples: pass.counts(),
         taken: pass.taken(),

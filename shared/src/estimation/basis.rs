@@ -10,9 +10,11 @@
 
 use nalgebra::{Cholesky, SMatrix, SVector};
 
+use super::coordinates::{MotionVector, vector};
 use super::eigen::symmetric_eigen;
 use super::rest_noise::ChannelNoise;
 use crate::refusal::Refusal;
+use crate::units::{MAX_RANK, Rank};
 
 /// The least ratio between the r-th and the (r+1)-th eigenvalue that counts as a clear gap.
 ///
@@ -38,16 +40,18 @@ const LARGEST_NOISE_EXCESS: f64 = 2.0;
 /// shape is rounder than that, and motion in a plane is not.
 const LEAST_RELATIVE_EIGENVALUE: f64 = 1e-3;
 
-/// The rank-r subspace of the codes in which the motion takes place.
+/// The rank-r subspace of the codes in which the motion takes place. Columns beyond the rank are zero.
 #[derive(Clone, Debug)]
-pub struct Basis<const GAGES: usize, const RANK: usize> {
+pub struct Basis<const GAGES: usize> {
+    /// r.
+    pub rank: Rank,
     /// L⁻ᵀV* (p × r): its transpose takes codes to the coordinates of the motion. Where all channels are equally noisy, it is
     /// the first r eigenvectors, V* of eq. 8 (orthonormal columns, each with its largest element positive).
-    pub projection: SMatrix<f64, GAGES, RANK>,
+    pub projection: SMatrix<f64, GAGES, MAX_RANK>,
     /// LV* (p × r): takes the coordinates of the motion to codes.
-    pub embedding: SMatrix<f64, GAGES, RANK>,
+    pub embedding: SMatrix<f64, GAGES, MAX_RANK>,
     /// Variances of the coordinates (r), descending, counts².
-    pub variances: SVector<f64, RANK>,
+    pub variances: MotionVector,
     /// All eigenvalues of the covariance of the codes, descending, counts².
     pub eigenvalues: SVector<f64, GAGES>,
     /// The variance of the noise, counts², the mean over the channels: from the redundant eigenvalues; at p = r, from the rests,
@@ -59,38 +63,48 @@ pub struct Basis<const GAGES: usize, const RANK: usize> {
     pub relative_noise: SMatrix<f64, GAGES, GAGES>,
 }
 
+impl<const GAGES: usize> Basis<GAGES> {
+    /// What the noise has across the subspace (p × p), over that of a channel.
+    #[inline(never)]
+    pub(super) fn redundant_noise(&self) -> SMatrix<f64, GAGES, GAGES> {
+        self.relative_noise - self.embedding * self.embedding.transpose()
+    }
+}
+
 /// Finds the basis of the motion from the covariance of the codes (p × p, counts²) of `samples` samples, whose channels have
 /// this noise as far as it is known.
 ///
 /// # Errors
 ///
-/// [`Refusal::UnsupportedDimensions`] for a rank other than 2 or 3, or above the number of gages;
+/// [`Refusal::UnsupportedDimensions`] for a rank above the number of gages;
 /// [`Refusal::NonFinite`]; [`Refusal::RankNotReached`] where the codes span fewer than r directions;
 /// [`Refusal::NoEigenvalueGap`] where the r-th direction cannot be told from noise; [`Refusal::RankExceeded`] where a
 /// further direction is no noise: a rank that is too low, a channel that clips, a sensor that is not linear.
-pub fn basis<const GAGES: usize, const RANK: usize>(
+pub fn basis<const GAGES: usize>(
+    rank: Rank,
     covariance: &SMatrix<f64, GAGES, GAGES>,
     samples: u64,
     noise: &ChannelNoise<GAGES>,
-) -> Result<Basis<GAGES, RANK>, Refusal> {
-    match basis_of_white_codes(covariance, samples, noise) {
+) -> Result<Basis<GAGES>, Refusal> {
+    match basis_of_white_codes(rank, covariance, samples, noise) {
         Some(Ok(basis)) => Ok(basis),
-        None | Some(Err(_)) => basis_of_equal_channels(covariance, samples, noise),
+        None | Some(Err(_)) => basis_of_equal_channels(rank, covariance, samples, noise),
     }
 }
 
 /// The basis found in the codes L⁻¹z; `None` where the channels are not known to differ, or what the redundant directions show is
 /// not their noise.
 #[inline(never)]
-fn basis_of_white_codes<const GAGES: usize, const RANK: usize>(
+fn basis_of_white_codes<const GAGES: usize>(
+    rank: Rank,
     covariance: &SMatrix<f64, GAGES, GAGES>,
     samples: u64,
     noise: &ChannelNoise<GAGES>,
-) -> Option<Result<Basis<GAGES, RANK>, Refusal>> {
+) -> Option<Result<Basis<GAGES>, Refusal>> {
     let at_rest = noise.variance.filter(|_| !noise.is_equal())?;
     let factor = Cholesky::new(noise.relative)?.l();
     let white = whitened(covariance, &factor)?;
-    let mut outcome = basis_of_equal_channels::<GAGES, RANK>(&white, samples, noise);
+    let mut outcome = basis_of_equal_channels(rank, &white, samples, noise);
     let Ok(found) = outcome.as_mut() else { return Some(outcome) };
     let ratio = found.noise_variance? / at_rest;
     if !(1.0 / LARGEST_NOISE_EXCESS..=LARGEST_NOISE_EXCESS).contains(&ratio) {
@@ -99,7 +113,7 @@ fn basis_of_white_codes<const GAGES: usize, const RANK: usize>(
     found.projection = factor.transpose().solve_upper_triangular(&found.projection)?;
     found.embedding = factor * found.embedding;
     found.relative_noise = noise.relative;
-    match symmetric_eigen(covariance) {
+    match symmetric_eigen(covariance, GAGES) {
         Ok(eigen) => found.eigenvalues = eigen.values.map(|eigenvalue| eigenvalue.max(0.0)),
         Err(refusal) => return Some(Err(refusal)),
     }
@@ -118,67 +132,70 @@ fn whitened<const GAGES: usize>(
 
 /// The same where R is the identity.
 #[inline(never)]
-fn basis_of_equal_channels<const GAGES: usize, const RANK: usize>(
+fn basis_of_equal_channels<const GAGES: usize>(
+    rank: Rank,
     covariance: &SMatrix<f64, GAGES, GAGES>,
     samples: u64,
     noise: &ChannelNoise<GAGES>,
-) -> Result<Basis<GAGES, RANK>, Refusal> {
-    if !(2..=3).contains(&RANK) || RANK > GAGES {
-        return Err(unsupported::<GAGES, RANK>());
+) -> Result<Basis<GAGES>, Refusal> {
+    let directions = rank.count();
+    if directions > GAGES {
+        return Err(Refusal::UnsupportedDimensions { gages: small(GAGES), rank: small(directions) });
     }
-    let eigen = symmetric_eigen(covariance)?;
-    let vectors = eigen.vectors.fixed_columns::<RANK>(0).into_owned();
+    let eigen = symmetric_eigen(covariance, GAGES)?;
     // The covariance has no negative eigenvalue; rounding may give it one.
     let eigenvalues = eigen.values.map(|eigenvalue| eigenvalue.max(0.0));
 
     let floor = (eigenvalues[0] * LEAST_RELATIVE_EIGENVALUE).max(noise.rounding);
     let spanned = eigenvalues.iter().take_while(|&&eigenvalue| eigenvalue > floor).count();
-    if spanned < RANK {
-        return Err(Refusal::RankNotReached { have: small(spanned), need: small(RANK) });
+    if spanned < directions {
+        return Err(Refusal::RankNotReached { have: small(spanned), need: small(directions) });
     }
-    if GAGES > RANK {
-        let ratio = eigenvalues[RANK - 1] / eigenvalues[RANK].max(noise.rounding);
+    let weakest = eigenvalues[directions - 1];
+    if GAGES > directions {
+        let ratio = weakest / eigenvalues[directions].max(noise.rounding);
         if ratio < LEAST_GAP {
             #[expect(clippy::cast_possible_truncation, reason = "a report of three digits")]
             return Err(Refusal::NoEigenvalueGap { ratio: ratio as f32, need: LEAST_GAP as f32 });
         }
     }
-    if GAGES > RANK + 1 {
-        let next = eigenvalues[RANK + 1].max(noise.rounding);
-        let share = libm::sqrt(eigenvalues[RANK] / eigenvalues[RANK - 1]);
-        if eigenvalues[RANK] > LARGEST_REDUNDANT_RATIO * next && share > LARGEST_EXCESS_SHARE {
+    if GAGES > directions + 1 {
+        let (excess, next) = (eigenvalues[directions], eigenvalues[directions + 1].max(noise.rounding));
+        let share = libm::sqrt(excess / weakest);
+        if excess > LARGEST_REDUNDANT_RATIO * next && share > LARGEST_EXCESS_SHARE {
             #[expect(clippy::cast_possible_truncation, reason = "a report of three digits")]
             return Err(Refusal::RankExceeded { share: share as f32, limit: LARGEST_EXCESS_SHARE as f32 });
         }
     }
     // A load that jumps about from sample to sample has no rests, whatever they look like: noise stands below the signal.
-    let at_rest = noise.variance.filter(|variance| LEAST_GAP * variance <= eigenvalues[RANK - 1]);
+    let at_rest = noise.variance.filter(|variance| LEAST_GAP * variance <= weakest);
+    let mut spanning = SMatrix::<f64, GAGES, MAX_RANK>::zeros();
+    for axis in rank.axes() {
+        spanning.set_column(axis, &eigen.vectors.column(axis));
+    }
     Ok(Basis {
-        projection: vectors,
-        embedding: vectors,
-        variances: eigenvalues.fixed_rows::<RANK>(0).into_owned(),
-        noise_variance: redundant_variance::<GAGES, RANK>(&eigenvalues, samples).or(at_rest),
+        rank,
+        projection: spanning,
+        embedding: spanning,
+        variances: vector(rank, |axis| eigenvalues[axis]),
+        noise_variance: redundant_variance(rank, &eigenvalues, samples).or(at_rest),
         eigenvalues,
         rounding: noise.rounding,
         relative_noise: SMatrix::identity(),
     })
 }
 
-/// The refusal of dimensions that the estimator does not know.
-pub(crate) const fn unsupported<const GAGES: usize, const RANK: usize>() -> Refusal {
-    Refusal::UnsupportedDimensions { gages: small(GAGES), rank: small(RANK) }
-}
-
 /// The mean of the redundant eigenvalues. The covariance has divisor n and a mean estimated from the same samples, and
 /// r directions are fitted besides, which take (r + 1) of n degrees of freedom from every residual.
-fn redundant_variance<const GAGES: usize, const RANK: usize>(
+fn redundant_variance<const GAGES: usize>(
+    rank: Rank,
     eigenvalues: &SVector<f64, GAGES>,
     samples: u64,
 ) -> Option<f64> {
-    let redundant = GAGES.checked_sub(RANK).filter(|&count| count > 0)?;
-    let sum: f64 = eigenvalues.iter().skip(RANK).sum();
+    let redundant = GAGES.checked_sub(rank.count()).filter(|&count| count > 0)?;
+    let sum: f64 = eigenvalues.iter().skip(rank.count()).sum();
     let samples = samples as f64;
-    let fitted = (RANK + 1) as f64;
+    let fitted = (rank.count() + 1) as f64;
     let unbiased = if samples > 2.0 * fitted { samples / (samples - fitted) } else { 1.0 };
     Some(unbiased * sum / redundant as f64)
 }

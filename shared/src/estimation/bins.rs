@@ -26,7 +26,7 @@ use super::moments::Moments;
 use super::projection::{MotionSums, project};
 use super::shape::{TrialSolution, require_samples, solve_within};
 use crate::refusal::Refusal;
-use crate::units::AdcCode;
+use crate::units::{AdcCode, Rank};
 
 /// Shift of the gains over the unexplained variance of |m|².
 const SHIFT_OVER_UNEXPLAINED: f64 = 0.375;
@@ -47,9 +47,9 @@ pub struct Bins<const GAGES: usize, const HIGHER: usize> {
 
 /// A trial solved from its quiet samples.
 #[derive(Clone, Debug)]
-pub struct QuietSolution<const GAGES: usize, const RANK: usize> {
+pub struct QuietSolution<const GAGES: usize> {
     /// The solution; its samples are those that the metric was taken from.
-    pub solution: TrialSolution<GAGES, RANK>,
+    pub solution: TrialSolution<GAGES>,
     /// The most restless class that took part.
     pub up_to: Quietness,
 }
@@ -123,8 +123,8 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
     /// # Errors
     ///
     /// Every refusal of [`super::shape::solve_trial`]: where no choice of classes has an answer, that of all samples together.
-    pub fn solve<const RANK: usize>(&self) -> Result<QuietSolution<GAGES, RANK>, Refusal> {
-        self.solve_accepting(LARGEST_RELATIVE_UNCERTAINTY)
+    pub fn solve(&self, rank: Rank) -> Result<QuietSolution<GAGES>, Refusal> {
+        self.solve_accepting(rank, LARGEST_RELATIVE_UNCERTAINTY)
     }
 
     /// Where the trial stands by what has been settled, finished or not. From now on samples are compared with what that
@@ -134,8 +134,8 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
     ///
     /// Those of [`Bins::solve`]; but that the motion leaves the answer uncertain is no refusal here, as long as it says
     /// which way to turn.
-    pub fn coverage<const RANK: usize>(&mut self) -> Result<Coverage<GAGES, RANK>, Refusal> {
-        let so_far = self.solve_accepting(ROUGHEST);
+    pub fn coverage(&mut self, rank: Rank) -> Result<Coverage<GAGES>, Refusal> {
+        let so_far = self.solve_accepting(rank, ROUGHEST);
         let QuietSolution { solution, .. } = so_far.as_ref().map_err(|refusal| *refusal)?;
         self.gate.expect(Expectation::new(solution)?);
         coverage(solution)
@@ -158,12 +158,9 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
     }
 
     #[inline(never)]
-    fn solve_accepting<const RANK: usize>(
-        &self,
-        accepted: f64,
-    ) -> Result<QuietSolution<GAGES, RANK>, Refusal> {
+    fn solve_accepting(&self, rank: Rank, accepted: f64) -> Result<QuietSolution<GAGES>, Refusal> {
         // By reference: moved out of its result, it would stand on the stack twice.
-        let found = self.subspace();
+        let found = self.subspace(rank);
         let (subspace, all) = found.as_ref().map_err(|refusal| *refusal)?;
         let mut classes = Cumulative::new();
         self.sum_up(subspace, &mut classes);
@@ -187,22 +184,22 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
 
     /// The subspace of all samples, and their mean.
     #[inline(never)]
-    fn subspace<const RANK: usize>(&self) -> Result<(Basis<GAGES, RANK>, CodeMean<GAGES>), Refusal> {
+    fn subspace(&self, rank: Rank) -> Result<(Basis<GAGES>, CodeMean<GAGES>), Refusal> {
         let mut all = CodeSums::new(*self.by_quietness[0].pivot());
         for bin in &self.by_quietness {
             all.add(bin.codes())?;
         }
-        require_samples::<RANK>(all.count())?;
-        let subspace = basis::<GAGES, RANK>(&all.covariance(), all.count(), &self.gate.noise())?;
+        require_samples(all.count(), rank)?;
+        let subspace = basis(rank, &all.covariance(), all.count(), &self.gate.noise())?;
         Ok((subspace, all.mean()))
     }
 
     /// The sums in the subspace, of the quietest class, of the two quietest, and so on; a class of no samples is left out.
     #[inline(never)]
-    fn sum_up<const RANK: usize>(&self, subspace: &Basis<GAGES, RANK>, classes: &mut Cumulative<RANK>) {
+    fn sum_up(&self, subspace: &Basis<GAGES>, classes: &mut Cumulative) {
         for (bin, up_to) in self.by_quietness.iter().zip(Quietness::ALL) {
             if bin.count() > 0 {
-                let mut sums = project(bin, &subspace.projection);
+                let mut sums = project(bin, &subspace.projection, subspace.rank);
                 if let Some((quieter, _)) = classes.last() {
                     sums.add(quieter);
                 }
@@ -213,19 +210,22 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
 }
 
 /// Sums of the motion, each with the most restless class in it.
-type Cumulative<const RANK: usize> = heapless::Vec<(MotionSums<RANK>, Quietness), { Quietness::ALL.len() }>;
+type Cumulative = heapless::Vec<(MotionSums, Quietness), { Quietness::ALL.len() }>;
 
 /// The error ε of the worst coefficient that is to be expected of the solution from these sums; see above.
 #[inline(never)]
-fn expected_error<const GAGES: usize, const RANK: usize>(
-    subspace: &Basis<GAGES, RANK>,
+fn expected_error<const GAGES: usize>(
+    subspace: &Basis<GAGES>,
     all: &CodeMean<GAGES>,
-    quiet: &MotionSums<RANK>,
+    quiet: &MotionSums,
     runs: u64,
     accepted: f64,
 ) -> Result<f64, Refusal> {
-    let solution = solve_within(subspace, all, quiet, runs, accepted)?;
-    Ok(libm::hypot(solution.uncertainty.worst_relative(), SHIFT_OVER_UNEXPLAINED * solution.unexplained))
+    let solved = solve_within(subspace, all, quiet, runs, accepted);
+    let solution = solved.as_ref().map_err(|refusal| *refusal)?;
+    let (worst, shift) =
+        (solution.uncertainty.worst_relative(), SHIFT_OVER_UNEXPLAINED * solution.unexplained);
+    Ok(libm::sqrt(worst * worst + shift * shift))
 }
 
 fn push<const GAGES: usize, const HIGHER: usize>(

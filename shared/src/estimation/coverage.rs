@@ -17,12 +17,15 @@
 //! So a direction is named by the codes that it gives: the gage whose code depends most on the direction alone comes first, and
 //! others follow until together they pin the direction down within 26°.
 
-use nalgebra::{Cholesky, SMatrix, SVector};
+use nalgebra::{SMatrix, SVector};
 
+use super::coordinates::{MotionVector, identity};
 use super::directions::for_each_direction;
 use super::quadric::{monomials, normal_matrix};
 use super::shape::TrialSolution;
+use super::square::invert;
 use crate::refusal::Refusal;
+use crate::units::MAX_RANK;
 
 /// The cosine between the direction asked for and its projection on what the named gages see: 26°.
 const PINNED_DOWN: f64 = 0.9;
@@ -32,7 +35,7 @@ pub const MAX_TARGETS: usize = 3;
 
 /// Where a trial stands.
 #[derive(Clone, Debug)]
-pub struct Coverage<const GAGES: usize, const RANK: usize> {
+pub struct Coverage<const GAGES: usize> {
     /// Samples that took part.
     pub samples: u64,
     /// The share of all directions that the load has been through; see above.
@@ -42,9 +45,9 @@ pub struct Coverage<const GAGES: usize, const RANK: usize> {
     /// Standard deviations of the bias, counts.
     pub bias_deviation_counts: SVector<f64, GAGES>,
     /// Standard deviations of the shape (r × p), counts per unit load, up to its orientation.
-    pub shape_deviation_counts_per_load: SMatrix<f64, RANK, GAGES>,
+    pub shape_deviation_counts_per_load: SMatrix<f64, MAX_RANK, GAGES>,
     /// The direction in which the next samples tell most: a unit vector in the trial's own frame.
-    pub weakest_direction: SVector<f64, RANK>,
+    pub weakest_direction: MotionVector,
     /// What the gages read there, the most telling one first.
     pub targets: heapless::Vec<GageTarget, MAX_TARGETS>,
 }
@@ -66,16 +69,14 @@ pub struct GageTarget {
 ///
 /// [`Refusal::MotionDoesNotSpan`] where the directions do not determine the constraint.
 #[inline(never)]
-pub fn coverage<const GAGES: usize, const RANK: usize>(
-    solution: &TrialSolution<GAGES, RANK>,
-) -> Result<Coverage<GAGES, RANK>, Refusal> {
-    let information = normal_matrix(&solution.directions.higher);
+pub fn coverage<const GAGES: usize>(solution: &TrialSolution<GAGES>) -> Result<Coverage<GAGES>, Refusal> {
+    let mut inverse = normal_matrix(&solution.directions.higher, solution.rank);
     let undetermined = Refusal::MotionDoesNotSpan { relative_uncertainty: f32::INFINITY, need: 1.0 };
-    let factor = Cholesky::new(information).ok_or(undetermined)?;
-    let mut weakest = (0.0, SVector::zeros());
-    for_each_direction(|m: SVector<f64, RANK>, _| {
+    invert(&mut inverse).map_err(|_| undetermined)?;
+    let mut weakest = (0.0, MotionVector::zeros());
+    for_each_direction(solution.rank, |m, _| {
         let phi = monomials(&m);
-        let unknown = phi.dot(&factor.solve(&phi));
+        let unknown = phi.dot(&(inverse * phi));
         if unknown > weakest.0 {
             weakest = (unknown, m);
         }
@@ -87,7 +88,7 @@ pub fn coverage<const GAGES: usize, const RANK: usize>(
         shape_deviation_counts_per_load: uncertainty.turned_shape_deviation(
             shape,
             redundant_noise,
-            &SMatrix::identity(),
+            &identity(solution.rank),
         ),
         samples: solution.samples,
         fraction: 1.0 / solution.directions.concentration().max(1.0),
@@ -106,16 +107,16 @@ pub fn progress(predicted: f64, asked: f64) -> f64 {
 
 /// Names a direction by the gages that depend on it most: each time the gage that sees most of what the ones before leave
 /// open.
-fn targets<const GAGES: usize, const RANK: usize>(
-    solution: &TrialSolution<GAGES, RANK>,
-    direction: &SVector<f64, RANK>,
+fn targets<const GAGES: usize>(
+    solution: &TrialSolution<GAGES>,
+    direction: &MotionVector,
 ) -> heapless::Vec<GageTarget, MAX_TARGETS> {
     let sensitivity = |gage: usize| solution.shape_counts_per_load.column(gage).into_owned();
     let open_after_all = 1.0 - PINNED_DOWN * PINNED_DOWN;
     let mut targets = heapless::Vec::new();
     let mut open = *direction;
-    let mut seen: heapless::Vec<SVector<f64, RANK>, MAX_TARGETS> = heapless::Vec::new();
-    while open.norm_squared() > open_after_all && seen.len() < RANK {
+    let mut seen: heapless::Vec<MotionVector, MAX_TARGETS> = heapless::Vec::new();
+    while open.norm_squared() > open_after_all && seen.len() < solution.rank.count() {
         let telling = |gage: usize| sensitivity(gage).normalize().dot(&open).abs();
         let Some(gage) = (0..GAGES).max_by(|&a, &b| telling(a).total_cmp(&telling(b))) else { break };
         let along = sensitivity(gage);

@@ -8,46 +8,62 @@
 
 use nalgebra::SVector;
 
+use super::coordinates::{Fourth, MotionVector, Second, Third};
 use super::motion_moments::MotionMoments;
+use crate::units::{MAX_RANK, Rank};
 
-/// Nodes and weights of the Gauss-Legendre rule of six points on [−1, 1], positive half.
-const LEGENDRE: [(f64, f64); 3] = [
-    (0.238_619_186_083_196_9, 0.467_913_934_572_691),
-    (0.661_209_386_466_264_5, 0.360_761_573_048_138_6),
-    (0.932_469_514_203_152, 0.171_324_492_379_170_35),
+/// Nodes of the Gauss-Legendre rule of six points on [−1, 1], and its weights over their sum.
+const LEGENDRE: [(f64, f64); 6] = [
+    (0.238_619_186_083_196_9, 0.467_913_934_572_691 / 2.0),
+    (-0.238_619_186_083_196_9, 0.467_913_934_572_691 / 2.0),
+    (0.661_209_386_466_264_5, 0.360_761_573_048_138_6 / 2.0),
+    (-0.661_209_386_466_264_5, 0.360_761_573_048_138_6 / 2.0),
+    (0.932_469_514_203_152, 0.171_324_492_379_170_35 / 2.0),
+    (-0.932_469_514_203_152, 0.171_324_492_379_170_35 / 2.0),
 ];
 
 /// Steps around the circle: exact for degree ten.
 const AROUND: usize = 12;
 
+/// Cosine and sine of half a step, 15°.
+const HALF_STEP: (f64, f64) = (0.965_925_826_289_068_3, 0.258_819_045_102_520_76);
+
+/// Cosine and sine of a step, 30°.
+const STEP: (f64, f64) = (0.866_025_403_784_438_6, 0.5);
+
 /// Moments of the load's direction m about zero, less the noise; |m| = 1 on average.
 #[derive(Clone, Debug)]
-pub struct DirectionMoments<const RANK: usize> {
+pub struct DirectionMoments {
+    /// Whether these are directions in the plane or in space.
+    pub rank: Rank,
     /// ⟨m⟩.
-    pub first: SVector<f64, RANK>,
+    pub first: MotionVector,
     /// Degrees two to four.
-    pub higher: MotionMoments<RANK>,
+    pub higher: MotionMoments,
 }
 
-impl<const RANK: usize> DirectionMoments<RANK> {
+impl DirectionMoments {
     /// From central moments and the mean.
-    pub fn new(mean: SVector<f64, RANK>, central: &MotionMoments<RANK>) -> Self {
-        Self { higher: central.about_zero(&mean), first: mean }
+    pub fn new(rank: Rank, mean: MotionVector, central: &MotionMoments) -> Self {
+        Self { rank, higher: central.about_zero(&mean), first: mean }
     }
 
     /// The density of m on the unit sphere or circle.
-    pub fn density(&self) -> Density<RANK> {
-        let single = |element: f64| {
-            #[expect(clippy::cast_possible_truncation, reason = "a density needs five digits")]
-            let element = element as f32;
-            element
-        };
+    #[expect(clippy::cast_possible_truncation, reason = "a density needs five digits")]
+    pub fn density(&self) -> Density {
         let MotionMoments { second, third, fourth } = &self.higher;
+        let mut single = Second::ZERO;
+        for a in 0..MAX_RANK {
+            for b in a..MAX_RANK {
+                single[[a, b]] = second[(a, b)];
+            }
+        }
         Density {
-            first: core::array::from_fn(|a| single(self.first[a])),
-            second: second.map(|row| row.map(single)),
-            third: third.map(|rows| rows.map(|row| row.map(single))),
-            fourth: fourth.map(|blocks| blocks.map(|rows| rows.map(|row| row.map(single)))),
+            rank: self.rank,
+            first: self.first.map(|component| component as f32),
+            second: single.rounded(),
+            third: third.rounded(),
+            fourth: fourth.rounded(),
         }
     }
 
@@ -57,111 +73,97 @@ impl<const RANK: usize> DirectionMoments<RANK> {
     /// With the density's parts as above, it is the same sum over ⟨(m·m′)ᵏ⟩ for two independent directions m and m′, which
     /// is the squared norm of the moment tensor of degree k.
     pub fn concentration(&self) -> f64 {
-        let mut norms = [self.first.norm_squared(), 0.0, 0.0, 0.0];
-        for a in 0..RANK {
-            for b in 0..RANK {
-                norms[1] += self.higher.second[a][b] * self.higher.second[a][b];
-                for c in 0..RANK {
-                    norms[2] += self.higher.third[a][b][c] * self.higher.third[a][b][c];
-                    for d in 0..RANK {
-                        norms[3] += self.higher.fourth[a][b][c][d] * self.higher.fourth[a][b][c][d];
+        let MotionMoments { second, third, fourth } = &self.higher;
+        let mut norms = [self.first.norm_squared(), second.norm_squared(), 0.0, 0.0];
+        for a in 0..MAX_RANK {
+            for b in a..MAX_RANK {
+                for c in b..MAX_RANK {
+                    norms[2] += orders(&[a, b, c]) * third[[a, b, c]] * third[[a, b, c]];
+                    for d in c..MAX_RANK {
+                        norms[3] += orders(&[a, b, c, d]) * fourth[[a, b, c, d]] * fourth[[a, b, c, d]];
                     }
                 }
             }
         }
         #[expect(clippy::cast_possible_truncation, reason = "a share needs five digits")]
         let norms = norms.map(|norm| norm as f32);
-        f64::from(zonal_sum::<RANK>(norms))
+        f64::from(zonal_sum(self.rank, norms))
     }
 }
 
 /// The density of the load's directions, relative to the uniform one. In single precision, which the sensor has in hardware: it is
 /// asked for many directions.
 #[derive(Clone, Debug)]
-pub struct Density<const RANK: usize> {
-    first: [f32; RANK],
-    second: [[f32; RANK]; RANK],
-    third: [[[f32; RANK]; RANK]; RANK],
-    fourth: [[[[f32; RANK]; RANK]; RANK]; RANK],
+pub struct Density {
+    rank: Rank,
+    first: SVector<f32, MAX_RANK>,
+    second: Second<f32>,
+    third: Third<f32>,
+    fourth: Fourth<f32>,
 }
 
-impl<const RANK: usize> Density<RANK> {
+impl Density {
     /// The density at a direction; no less than zero.
-    pub fn at(&self, direction: &SVector<f32, RANK>) -> f32 {
-        zonal_sum::<RANK>(self.powers(direction)).max(0.0)
-    }
-
-    /// ⟨(q·m)ᵏ⟩ for k = 1 … 4. The tensors are symmetric, so that each element stands for all orders of its indices.
-    fn powers(&self, q: &SVector<f32, RANK>) -> [f32; 4] {
-        let mut powers = [0.0; 4];
-        for a in 0..RANK {
-            powers[0] += q[a] * self.first[a];
-            for b in a..RANK {
-                let ab = q[a] * q[b];
-                powers[1] += orders(&[a, b]) * ab * self.second[a][b];
-                for c in b..RANK {
-                    let abc = ab * q[c];
-                    powers[2] += orders(&[a, b, c]) * abc * self.third[a][b][c];
-                    for d in c..RANK {
-                        powers[3] += orders(&[a, b, c, d]) * abc * q[d] * self.fourth[a][b][c][d];
-                    }
-                }
-            }
-        }
-        powers
+    pub fn at(&self, q: &SVector<f32, MAX_RANK>) -> f32 {
+        // ⟨(q·m)ᵏ⟩ for k = 1 … 4.
+        let powers = [
+            q.dot(&self.first),
+            q.dot(&self.second.along(q)),
+            q.dot(&self.third.along(q).along(q)),
+            q.dot(&self.fourth.along(q).along(q).along(q)),
+        ];
+        zonal_sum(self.rank, powers).max(0.0)
     }
 }
 
 /// In how many orders these ascending indices can be put.
-fn orders(ascending: &[usize]) -> f32 {
+fn orders(ascending: &[usize]) -> f64 {
     let (mut orders, mut run, mut last) = (1.0, 0.0, usize::MAX);
     for (position, &index) in ascending.iter().enumerate() {
         run = if index == last { run + 1.0 } else { 1.0 };
-        orders *= (position as f32 + 1.0) / run;
+        orders *= (position as f64 + 1.0) / run;
         last = index;
     }
     orders
 }
 
 /// Σ (2l + 1) Pₗ(t) in space, 1 + 2 Σ Tₗ(t) in the plane, l up to four, of the mean powers ⟨t⟩ … ⟨t⁴⟩.
-fn zonal_sum<const RANK: usize>([t1, t2, t3, t4]: [f32; 4]) -> f32 {
-    if RANK == 2 {
-        1.0 + 2.0 * (t1 + (2.0 * t2 - 1.0) + (4.0 * t3 - 3.0 * t1) + (8.0 * t4 - 8.0 * t2 + 1.0))
-    } else {
-        1.0 + 3.0 * t1
-            + 5.0 * (3.0 * t2 - 1.0) / 2.0
-            + 7.0 * (5.0 * t3 - 3.0 * t1) / 2.0
-            + 9.0 * (35.0 * t4 - 30.0 * t2 + 3.0) / 8.0
+fn zonal_sum(rank: Rank, [t1, t2, t3, t4]: [f32; 4]) -> f32 {
+    match rank {
+        Rank::Planar => {
+            1.0 + 2.0 * (t1 + (2.0 * t2 - 1.0) + (4.0 * t3 - 3.0 * t1) + (8.0 * t4 - 8.0 * t2 + 1.0))
+        }
+        Rank::Spatial => {
+            1.0 + 3.0 * t1
+                + 5.0 * (3.0 * t2 - 1.0) / 2.0
+                + 7.0 * (5.0 * t3 - 3.0 * t1) / 2.0
+                + 9.0 * (35.0 * t4 - 30.0 * t2 + 3.0) / 8.0
+        }
     }
 }
 
 /// Visits directions all over the unit sphere or circle with weights that sum to one.
-pub fn for_each_direction<const RANK: usize>(mut visit: impl FnMut(SVector<f64, RANK>, f64)) {
-    let step = core::f64::consts::TAU / AROUND as f64;
-    for around in 0..AROUND {
-        let angle = (around as f64 + 0.5) * step;
-        let (sine, cosine) = libm::sincos(angle);
-        if RANK == 2 {
-            visit(direction([cosine, sine, 0.0]), 1.0 / AROUND as f64);
-            continue;
-        }
-        for (height, weight) in LEGENDRE {
+pub fn for_each_direction(rank: Rank, mut visit: impl FnMut(MotionVector, f64)) {
+    let heights = match rank {
+        Rank::Planar => &[(0.0, 1.0)][..],
+        Rank::Spatial => &LEGENDRE,
+    };
+    let mut next = HALF_STEP;
+    for _ in 0..AROUND {
+        let (cosine, sine) = next;
+        // By the addition theorems; each step adds a rounding or two.
+        next = (cosine * STEP.0 - sine * STEP.1, sine * STEP.0 + cosine * STEP.1);
+        for &(height, weight) in heights {
             let radius = libm::sqrt(1.0 - height * height);
-            for height in [height, -height] {
-                visit(direction([radius * cosine, radius * sine, height]), weight / 2.0 / AROUND as f64);
-            }
+            visit(MotionVector::new(radius * cosine, radius * sine, height), weight / AROUND as f64);
         }
     }
-}
-
-fn direction<const RANK: usize>(components: [f64; 3]) -> SVector<f64, RANK> {
-    SVector::from_fn(|axis, _| components[axis])
 }
 
 #[cfg(test)]
 mod tests {
     use super::{for_each_direction, orders};
-    use nalgebra::{Vector2, Vector3};
+    use crate::units::Rank;
 
     #[test]
     fn the_orders_are_counted() {
@@ -180,7 +182,7 @@ mod tests {
     #[test]
     fn the_quadrature_is_exact() {
         let mut sums = [0.0; 6];
-        for_each_direction(|q: Vector3<f64>, weight| {
+        for_each_direction(Rank::Spatial, |q, weight| {
             let terms = [1.0, q.x.powi(2), q.z.powi(4), q.x.powi(2) * q.y.powi(2), q.y.powi(6), q.x.powi(10)];
             sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += weight * term);
         });
@@ -188,7 +190,7 @@ mod tests {
             assert!((sum - exact).abs() < 1e-14, "{sum} {exact}");
         }
         let mut sums = [0.0; 3];
-        for_each_direction(|q: Vector2<f64>, weight| {
+        for_each_direction(Rank::Planar, |q, weight| {
             let terms = [q.x.powi(2), q.y.powi(4), q.x.powi(10)];
             sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += weight * term);
         });

@@ -19,12 +19,10 @@ use super::eigen::symmetric_eigen;
 use super::rest_noise::chi_square_limit;
 use super::shape::TrialSolution;
 use crate::refusal::Refusal;
+use crate::units::MAX_RANK;
 
 /// Samples in a block.
 const SAMPLES: f64 = super::gate::BLOCK as f64;
-
-/// The largest rank of a trial.
-const LARGEST_RANK: usize = 3;
 
 /// The fewest samples of a solution that anything is expected from: the subspace is then known to a tenth of the noise.
 const LEAST_SAMPLES: u64 = 400;
@@ -44,9 +42,9 @@ pub struct Expectation<const GAGES: usize> {
     /// The sum of a block with no load, rounded: an eighth of a count of its mean at most.
     pivot: [i32; GAGES],
     /// C (r × p) over the samples of a block, per unit load; rows beyond the rank are zero.
-    to_load: [[f32; LARGEST_RANK]; GAGES],
+    to_load: [[f32; MAX_RANK]; GAGES],
     /// S (r × p) times the samples of a block, counts per unit load; rows beyond the rank are zero.
-    shape: [[f32; LARGEST_RANK]; GAGES],
+    shape: [[f32; MAX_RANK]; GAGES],
     /// The largest ‖e‖² for the sum of a block, counts²; infinite where nothing is redundant.
     largest_parity: f32,
     /// The largest change of |m|².
@@ -70,18 +68,18 @@ impl<const GAGES: usize> Expectation<GAGES> {
     /// # Errors
     ///
     /// [`Refusal::NonFinite`].
-    pub fn new<const RANK: usize>(solution: &TrialSolution<GAGES, RANK>) -> Result<Option<Self>, Refusal> {
+    pub fn new(solution: &TrialSolution<GAGES>) -> Result<Option<Self>, Refusal> {
         if solution.samples < LEAST_SAMPLES {
             return Ok(None);
         }
-        let load_noise = symmetric_eigen(&solution.load_noise)?.values / SAMPLES;
+        let load_noise = symmetric_eigen(&solution.load_noise, solution.rank.count())?.values / SAMPLES;
         let variance = 4.0 * load_noise.max() + 2.0 * load_noise.norm_squared() + solution.unexplained;
         let change =
             LARGEST_DEVIATION * libm::sqrt(variance) + SHARE_OF_WORST * solution.uncertainty.worst_relative();
         let mut expected = Self {
             pivot: [0; GAGES],
-            to_load: [[0.0; LARGEST_RANK]; GAGES],
-            shape: [[0.0; LARGEST_RANK]; GAGES],
+            to_load: [[0.0; MAX_RANK]; GAGES],
+            shape: [[0.0; MAX_RANK]; GAGES],
             largest_parity: largest_parity(solution),
             #[expect(clippy::cast_possible_truncation, reason = "a limit needs three digits")]
             largest_change: change as f32,
@@ -89,7 +87,7 @@ impl<const GAGES: usize> Expectation<GAGES> {
         #[expect(clippy::cast_possible_truncation, reason = "single precision is what the sample path has")]
         for gage in 0..GAGES {
             expected.pivot[gage] = libm::round(SAMPLES * solution.bias_counts[gage]) as i32;
-            for row in 0..RANK.min(LARGEST_RANK) {
+            for row in 0..MAX_RANK {
                 expected.to_load[gage][row] = (solution.to_load[(row, gage)] / SAMPLES) as f32;
                 expected.shape[gage][row] = (solution.shape_counts_per_load[(row, gage)] * SAMPLES) as f32;
             }
@@ -103,7 +101,7 @@ impl<const GAGES: usize> Expectation<GAGES> {
         // no load.
         let signal: [f32; GAGES] =
             core::array::from_fn(|gage| sum[gage].wrapping_sub(self.pivot[gage]) as f32);
-        let [mut x, mut y, mut z] = [0.0; LARGEST_RANK];
+        let [mut x, mut y, mut z] = [0.0; MAX_RANK];
         for (signal, [to_x, to_y, to_z]) in signal.iter().zip(&self.to_load) {
             x += to_x * signal;
             y += to_y * signal;
@@ -126,11 +124,11 @@ impl<const GAGES: usize> Expectation<GAGES> {
 }
 
 /// What ‖e‖² of a block's sum exceeds by chance once in 10⁶ blocks, and the margin; counts².
-fn largest_parity<const GAGES: usize, const RANK: usize>(solution: &TrialSolution<GAGES, RANK>) -> f32 {
+fn largest_parity<const GAGES: usize>(solution: &TrialSolution<GAGES>) -> f32 {
     let noise = &solution.redundant_noise;
     let (mean, mean_square) = (noise.trace(), noise.norm_squared());
     match solution.noise_variance {
-        Some(variance) if GAGES > RANK => {
+        Some(variance) if GAGES > solution.rank.count() => {
             let freedom = mean * mean / mean_square;
             // The subspace is a regression, and off by ⟨(m, 1) across (m, 1)⟩ in direction m: by twice the trace at most.
             let of_subspace = 2.0 * SAMPLES * solution.uncertainty.across().trace() / variance;

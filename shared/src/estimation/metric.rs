@@ -6,12 +6,15 @@
 //! ([`MotionMoments::without_noise`]): **adjusted least squares**. With no noise this is the paper's least squares with
 //! a free centre.
 
-use nalgebra::{Cholesky, SMatrix, SVector};
+use nalgebra::SMatrix;
 
+use super::coordinates::{MotionMatrix, MotionVector, carried, cholesky, identity, vector};
 use super::eigen::symmetric_eigen;
 use super::motion_moments::MotionMoments;
 use super::quadric::{Coefficients, UNKNOWNS, linear_position, monomials, normal_matrix, product_position};
+use super::square::invert;
 use crate::refusal::Refusal;
+use crate::units::{MAX_RANK, Rank};
 
 /// The largest relative standard deviation of a principal value of Q that counts as determined by the motion.
 ///
@@ -39,11 +42,11 @@ pub(crate) const LEAST_UNEXPLAINED: f64 = 1e-8;
 
 /// The ellipsoid (x − c)ᵀ M (x − c) = 1 of the motion in whitened coordinates.
 #[derive(Clone, Debug)]
-pub struct Metric<const RANK: usize> {
+pub struct Metric {
     /// M (r × r, positive definite); AᵀMA = I gives the paper's A of eq. 11.
-    pub matrix: SMatrix<f64, RANK, RANK>,
+    pub matrix: MotionMatrix,
     /// The centre c.
-    pub centre: SVector<f64, RANK>,
+    pub centre: MotionVector,
     /// The variance of (x − c)ᵀM(x − c), which should be one throughout, less what the noise explains of it.
     pub unexplained: f64,
 }
@@ -60,33 +63,36 @@ pub struct Metric<const RANK: usize> {
 /// coefficient; [`Refusal::MetricNotPositiveDefinite`] where the surface is no ellipsoid;
 /// [`Refusal::MagnitudeNotConstant`] where the motion does not lie on it.
 #[inline(never)]
-pub fn metric<const RANK: usize>(
-    moments: &MotionMoments<RANK>,
-    variances: &SVector<f64, RANK>,
+pub fn metric(
+    rank: Rank,
+    moments: &MotionMoments,
+    variances: &MotionVector,
     noise_variance: f64,
     samples: u64,
     accepted: f64,
-) -> Result<Metric<RANK>, Refusal> {
-    let noise = variances.map(|variance| noise_variance / variance);
-    let Equations { normal: mut inverse, right, second } = equations(moments, &noise);
-    invert(&mut inverse)?;
+) -> Result<Metric, Refusal> {
+    let noise = vector(rank, |axis| noise_variance / variances[axis]);
+    let mut equations = equations(rank, moments, &noise);
+    invert_normal(&mut equations.normal)?;
+    // By reference: moved, it would stand on the stack twice.
+    let Equations { normal: inverse, right, second } = &equations;
     let solution = inverse * right;
 
-    let quadratic = SMatrix::from_fn(|a, b| {
-        let element = solution[product_position::<RANK>(a, b)];
+    let quadratic = MotionMatrix::from_fn(|a, b| {
+        let element = solution[product_position(a, b)];
         if a == b { element } else { element / 2.0 }
     });
-    let linear = SVector::<f64, RANK>::from_fn(|a, _| solution[linear_position::<RANK>(a)]);
+    let linear = MotionVector::from_fn(|a, _| solution[linear_position(a)]);
 
     // What the constraint leaves unexplained, and the noise, which the moments have been freed of: to first order it
     // moves xᵀQx + gᵀx by its product with the gradient 2Qx + g.
-    let unexplained = (1.0 - solution.dot(&right)).max(0.0);
-    let squared_gradient = (quadratic * second * quadratic * 4.0).diagonal() + linear.component_mul(&linear);
-    let covariance = inverse * ((unexplained + squared_gradient.dot(&noise)) / samples.max(1) as f64)
-        + rounding(&inverse, &solution, variances);
-    require_determined::<RANK>(&quadratic, &covariance, accepted)?;
+    let unexplained = (1.0 - solution.dot(right)).max(0.0);
+    let squared_gradient = carried(&quadratic, second).diagonal() * 4.0 + linear.component_mul(&linear);
+    let of_samples = (unexplained + squared_gradient.dot(&noise)) / samples.max(1) as f64;
+    let covariance = Covariance { inverse, of_samples, of_rounding: rounding(rank, &solution, variances) };
+    require_determined(rank, &quadratic, &covariance, accepted)?;
 
-    let quadratic_factor = Cholesky::new(quadratic).ok_or(Refusal::MetricNotPositiveDefinite)?;
+    let quadratic_factor = cholesky(&quadratic, rank).ok_or(Refusal::MetricNotPositiveDefinite)?;
     let centre = quadratic_factor.solve(&linear) * -0.5;
     // xᵀQx + gᵀx = 1 about its centre: (x − c)ᵀQ(x − c) = 1 + cᵀQc.
     let level = 1.0 + centre.dot(&(quadratic * centre));
@@ -101,46 +107,39 @@ pub fn metric<const RANK: usize>(
 }
 
 /// The normal equations of the constraint.
-struct Equations<const RANK: usize> {
+struct Equations {
     /// ⟨φφᵀ⟩, of moments free of noise.
     normal: SMatrix<f64, UNKNOWNS, UNKNOWNS>,
     /// ⟨φ⟩.
     right: Coefficients,
     /// ⟨xxᵀ⟩.
-    second: SMatrix<f64, RANK, RANK>,
+    second: MotionMatrix,
 }
 
 /// Sets the equations up. Never inlined: the moments that it takes are large, and the sensor's stack is not.
 #[inline(never)]
-fn equations<const RANK: usize>(
-    moments: &MotionMoments<RANK>,
-    noise: &SVector<f64, RANK>,
-) -> Equations<RANK> {
-    let free = moments.without_noise(&SMatrix::from_diagonal(noise));
-    Equations {
-        normal: normal_matrix(&free),
-        right: means(&free),
-        second: SMatrix::from_fn(|a, b| free.second[a][b]),
-    }
+fn equations(rank: Rank, moments: &MotionMoments, noise: &MotionVector) -> Equations {
+    let free = moments.without_noise(&MotionMatrix::from_diagonal(noise));
+    Equations { normal: normal_matrix(&free, rank), right: means(&free), second: free.second }
 }
 
 /// Replaces a normal matrix by its inverse.
 #[inline(never)]
-fn invert(normal: &mut SMatrix<f64, UNKNOWNS, UNKNOWNS>) -> Result<(), Refusal> {
+fn invert_normal(normal: &mut SMatrix<f64, UNKNOWNS, UNKNOWNS>) -> Result<(), Refusal> {
     if normal.iter().any(|element| !element.is_finite()) {
         return Err(Refusal::NonFinite);
     }
-    *normal = Cholesky::new(*normal).ok_or_else(|| does_not_span(f64::INFINITY))?.inverse();
+    invert(normal).map_err(|_| does_not_span(f64::INFINITY))?;
     if normal.trace() > LARGEST_INVERSE_TRACE { Err(does_not_span(f64::INFINITY)) } else { Ok(()) }
 }
 
 /// By how much unknown noise may have moved the ellipsoid, in coordinates in which the one found is |m| = 1.
 #[derive(Clone, Debug)]
-pub struct NoiseShift<const RANK: usize> {
+pub struct NoiseShift {
     /// E (r × r): what is added to the identity.
-    pub metric: SMatrix<f64, RANK, RANK>,
+    pub metric: MotionMatrix,
     /// δ (r): how far the centre moves.
-    pub centre: SVector<f64, RANK>,
+    pub centre: MotionVector,
 }
 
 /// Where nothing redundant tells the noise (p = r), the answer must not hinge on it.
@@ -155,66 +154,80 @@ pub struct NoiseShift<const RANK: usize> {
 /// # Errors
 ///
 /// [`Refusal::MotionDoesNotSpan`] with the largest relative change of a principal value, or of the centre.
-pub fn require_indifference_to_noise<const RANK: usize>(
-    moments: &MotionMoments<RANK>,
-    variances: &SVector<f64, RANK>,
-    found: &Metric<RANK>,
+pub fn require_indifference_to_noise(
+    rank: Rank,
+    moments: &MotionMoments,
+    variances: &MotionVector,
+    found: &Metric,
     samples: u64,
     accepted: f64,
-) -> Result<NoiseShift<RANK>, Refusal> {
-    let m = &found.matrix;
-    let about_centre =
-        SMatrix::<f64, RANK, RANK>::from_fn(|a, b| moments.second[a][b] + found.centre[a] * found.centre[b]);
-    let squared_gradient = (m * about_centre * m * 4.0).diagonal();
-    let shares = variances.map(|variance| 1.0 / variance);
+) -> Result<NoiseShift, Refusal> {
+    let about_centre = moments.second + found.centre * found.centre.transpose();
+    let squared_gradient = carried(&found.matrix, &about_centre).diagonal() * 4.0;
+    let shares = vector(rank, |axis| 1.0 / variances[axis]);
     let most = found.unexplained.max(LEAST_UNEXPLAINED) / squared_gradient.dot(&shares);
-    let other = metric(moments, variances, most, samples, accepted)?;
+    let other = metric(rank, moments, variances, most, samples, accepted)?;
 
     // In coordinates in which the ellipsoid found is the unit sphere.
-    let factor = Cholesky::new(found.matrix).ok_or(Refusal::MetricNotPositiveDefinite)?;
+    let factor = cholesky(&found.matrix, rank).ok_or(Refusal::MetricNotPositiveDefinite)?;
     let half = factor.l().solve_lower_triangular(&other.matrix).ok_or(Refusal::NonFinite)?;
     let relative = factor.l().solve_lower_triangular(&half.transpose()).ok_or(Refusal::NonFinite)?;
-    let metric = relative - SMatrix::<f64, RANK, RANK>::identity();
+    let metric = relative - identity(rank);
     let centre = factor.l().transpose() * (other.centre - found.centre);
     // A gain changes by half of what its square does.
-    let change = symmetric_eigen(&metric)?.values.amax().max(2.0 * centre.norm());
+    let change = symmetric_eigen(&metric, rank.count())?.values.amax().max(2.0 * centre.norm());
     if change > accepted { Err(does_not_span(change)) } else { Ok(NoiseShift { metric, centre }) }
 }
 
-/// What rounding does to the coefficients s = N⁻¹⟨φ⟩, as a covariance, [`ROUNDING_WEIGHT`] times as large as it is.
+/// The covariance of the coefficients s = N⁻¹⟨φ⟩.
+struct Covariance<'a> {
+    /// N⁻¹.
+    inverse: &'a SMatrix<f64, UNKNOWNS, UNKNOWNS>,
+    /// The variance of the constraint over the number of samples: from chance, the covariance is N⁻¹ times that.
+    of_samples: f64,
+    /// D⁻¹ times a number, see [`rounding`].
+    of_rounding: Coefficients,
+}
+
+impl Covariance<'_> {
+    /// The variance along a gradient: that of chance, and that of rounding.
+    fn along(&self, gradient: &Coefficients) -> f64 {
+        let turned = self.inverse * gradient;
+        gradient.dot(&turned) * self.of_samples + self.of_rounding.component_mul(&turned).norm_squared()
+    }
+}
+
+/// What rounding does to the coefficients s = N⁻¹⟨φ⟩, [`ROUNDING_WEIGHT`] times as large as it is: N⁻¹ times the diagonal matrix of
+/// these numbers is the square root of its covariance.
 ///
 /// The moments of the codes are rounded by ε of their size, which is that of the strongest axis of the motion. In
 /// coordinates of that size, y = T x with T = diag √(λₐ/λ₁), all elements of N_y = D N D are off by ε, where D has the products
 /// of T that belong to φ. So s_y = D⁻¹s is off by ε|s_y| N_y⁻¹, and s by N⁻¹D⁻¹ times that: little in a round motion, and most in
 /// a motion that is flat and hardly determines what is across it.
-fn rounding<const RANK: usize>(
-    inverse: &SMatrix<f64, UNKNOWNS, UNKNOWNS>,
-    solution: &Coefficients,
-    variances: &SVector<f64, RANK>,
-) -> SMatrix<f64, UNKNOWNS, UNKNOWNS> {
-    let flatness = variances.map(|variance| libm::sqrt(variances.max() / variance));
+fn rounding(rank: Rank, solution: &Coefficients, variances: &MotionVector) -> Coefficients {
+    let flatness = vector(rank, |axis| libm::sqrt(variances.max() / variances[axis]));
     let sizes = monomials(&flatness);
     let coefficients = solution.component_mul(&sizes).norm();
-    let off = inverse * SMatrix::from_diagonal(&sizes) * (ROUNDING * ROUNDING_WEIGHT * coefficients);
-    off * off.transpose()
+    sizes * (ROUNDING * ROUNDING_WEIGHT * coefficients)
 }
 
 /// Every principal value of Q must stand clear of its own uncertainty; a negative one that does is no ellipsoid.
-fn require_determined<const RANK: usize>(
-    quadratic: &SMatrix<f64, RANK, RANK>,
-    covariance: &SMatrix<f64, UNKNOWNS, UNKNOWNS>,
+fn require_determined(
+    rank: Rank,
+    quadratic: &MotionMatrix,
+    covariance: &Covariance<'_>,
     accepted: f64,
 ) -> Result<(), Refusal> {
-    let principal = symmetric_eigen(quadratic)?;
-    for k in 0..RANK {
+    let principal = symmetric_eigen(quadratic, rank.count())?;
+    for k in rank.axes() {
         let direction = principal.vectors.column(k);
         let mut gradient = Coefficients::zeros();
-        for a in 0..RANK {
-            for b in a..RANK {
-                gradient[product_position::<RANK>(a, b)] = direction[a] * direction[b];
+        for a in 0..MAX_RANK {
+            for b in a..MAX_RANK {
+                gradient[product_position(a, b)] = direction[a] * direction[b];
             }
         }
-        let deviation = libm::sqrt(gradient.dot(&(covariance * gradient)).max(0.0));
+        let deviation = libm::sqrt(covariance.along(&gradient).max(0.0));
         let value = principal.values[k];
         let relative = deviation / value.abs().max(f64::MIN_POSITIVE);
         let determined = relative <= LARGEST_RELATIVE_UNCERTAINTY;
@@ -229,11 +242,11 @@ fn require_determined<const RANK: usize>(
 }
 
 /// ⟨φ⟩ of central moments.
-fn means<const RANK: usize>(central: &MotionMoments<RANK>) -> Coefficients {
+fn means(central: &MotionMoments) -> Coefficients {
     let mut means = Coefficients::zeros();
-    for a in 0..RANK {
-        for b in a..RANK {
-            means[product_position::<RANK>(a, b)] = central.second[a][b];
+    for a in 0..MAX_RANK {
+        for b in a..MAX_RANK {
+            means[product_position(a, b)] = central.second[(a, b)];
         }
     }
     means

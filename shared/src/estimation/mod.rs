@@ -13,6 +13,7 @@
 //! | [`rest_noise`] | the noise of the channels, while the load hangs still | design § 3.1 |
 //! | [`basis`] | the p×p eigenproblem in place of the SVD of Z; noise from the redundant eigenvalues | eq. 7–9, design § 3.1 |
 //! | [`projection`], [`motion_moments`] | the moments in the r coordinates of the basis | design § 3.2 |
+//! | [`coordinates`] | vectors, matrices and tensors in these coordinates, r being known at run time | |
 //! | [`metric`] | the constraint |m| = 1, with free centre | eq. 13, design § 3.3 |
 //! | [`shape`] | shape and bias of one trial | eq. 10, 11, design § 3.4 |
 //! | [`bins`] | sums by quietness, and how much of them to solve from | design § 5 |
@@ -32,6 +33,7 @@ pub mod basis;
 pub mod bins;
 pub mod calibration;
 pub mod code_sums;
+pub mod coordinates;
 pub mod coverage;
 pub mod directions;
 mod eigen;
@@ -46,5 +48,6 @@ pub mod projection;
 mod quadric;
 pub mod rest_noise;
 pub mod shape;
+mod square;
 pub mod uncertainty;
 mod words;

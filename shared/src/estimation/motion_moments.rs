@@ -1,71 +1,88 @@
 //! Moments of the motion in r coordinates, and what may be done to them: a change of coordinates, of the point that they are
 //! about, and the removal of noise (design § 3.2, 3.3).
 
-use nalgebra::{SMatrix, SVector};
+use super::coordinates::{Fourth, MotionMatrix, MotionVector, Third, carried};
+use crate::units::MAX_RANK;
 
-pub(super) type Third<const RANK: usize> = [[[f64; RANK]; RANK]; RANK];
-pub(super) type Fourth<const RANK: usize> = [[[[f64; RANK]; RANK]; RANK]; RANK];
-
-/// Central moments ⟨y⟩, … up to degree four of the motion's r coordinates; every index order is filled in.
+/// Moments ⟨y⟩, … up to degree four of the motion's r coordinates, about some point.
 #[derive(Clone, Debug)]
-pub struct MotionMoments<const RANK: usize> {
+pub struct MotionMoments {
     /// ⟨yₐy_b⟩, the unit of y squared.
-    pub second: [[f64; RANK]; RANK],
+    pub second: MotionMatrix,
     /// ⟨yₐy_by_c⟩.
-    pub third: Third<RANK>,
+    pub third: Third<f64>,
     /// ⟨yₐy_by_cy_d⟩.
-    pub fourth: Fourth<RANK>,
+    pub fourth: Fourth<f64>,
 }
 
-impl<const RANK: usize> MotionMoments<RANK> {
+impl MotionMoments {
     /// Central moments, from moments about another point and the mean as seen from there.
-    pub(super) fn about_mean(
-        mean: &SVector<f64, RANK>,
-        second: &[[f64; RANK]; RANK],
-        third: &Third<RANK>,
-        fourth: &Fourth<RANK>,
-    ) -> Self {
-        let m = mean;
-        let mut central = Self {
-            second: [[0.0; RANK]; RANK],
-            third: [[[0.0; RANK]; RANK]; RANK],
-            fourth: [[[[0.0; RANK]; RANK]; RANK]; RANK],
-        };
-        for a in 0..RANK {
-            for b in 0..RANK {
-                central.second[a][b] = second[a][b] - m[a] * m[b];
-                for c in 0..RANK {
-                    central.third[a][b][c] = third[a][b][c]
-                        - (m[a] * second[b][c] + m[b] * second[a][c] + m[c] * second[a][b])
-                        + 2.0 * m[a] * m[b] * m[c];
-                    for d in 0..RANK {
-                        let one_mean = m[a] * third[b][c][d]
-                            + m[b] * third[a][c][d]
-                            + m[c] * third[a][b][d]
-                            + m[d] * third[a][b][c];
-                        central.fourth[a][b][c][d] = fourth[a][b][c][d] - one_mean
-                            + pair_products(m, second, [a, b, c, d])
-                            - 3.0 * m[a] * m[b] * m[c] * m[d];
+    #[must_use]
+    pub(super) fn about_mean(&self, mean: &MotionVector) -> Self {
+        self.displaced(&-mean, -1.0)
+    }
+
+    /// Moments about zero of coordinates with this mean, from their central moments.
+    #[must_use]
+    pub fn about_zero(&self, mean: &MotionVector) -> Self {
+        self.displaced(mean, 0.0)
+    }
+
+    /// The moments of y + d, from those of y, whose mean is so many times d.
+    #[inline(never)]
+    fn displaced(&self, d: &MotionVector, mean: f64) -> Self {
+        let Self { second, third, .. } = self;
+        let mut displaced = self.clone();
+        // A product of n times d comes from none of the factors being y, and from each of them being its mean.
+        displaced.second += d * d.transpose() * (1.0 + 2.0 * mean);
+        for a in 0..MAX_RANK {
+            for b in a..MAX_RANK {
+                for c in b..MAX_RANK {
+                    displaced.third[[a, b, c]] += d[a] * second[(b, c)]
+                        + d[b] * second[(a, c)]
+                        + d[c] * second[(a, b)]
+                        + d[a] * d[b] * d[c] * (1.0 + 3.0 * mean);
+                    for e in c..MAX_RANK {
+                        displaced.fourth[[a, b, c, e]] += d[a] * third[[b, c, e]]
+                            + d[b] * third[[a, c, e]]
+                            + d[c] * third[[a, b, e]]
+                            + d[e] * third[[a, b, c]]
+                            + d[a] * d[b] * second[(c, e)]
+                            + d[a] * d[c] * second[(b, e)]
+                            + d[a] * d[e] * second[(b, c)]
+                            + d[b] * d[c] * second[(a, e)]
+                            + d[b] * d[e] * second[(a, c)]
+                            + d[c] * d[e] * second[(a, b)]
+                            + d[a] * d[b] * d[c] * d[e] * (1.0 + 4.0 * mean);
                     }
                 }
             }
         }
-        central
+        displaced
     }
 
     /// The moments of B y, from those of y.
     #[must_use]
     #[inline(never)]
-    pub fn transformed(&self, matrix: &SMatrix<f64, RANK, RANK>) -> Self {
-        let second = SMatrix::<f64, RANK, RANK>::from_fn(|a, b| self.second[a][b]);
-        let second = matrix * second * matrix.transpose();
-        let mut transformed = Self { second: rows(&second), third: self.third, fourth: self.fourth };
-        // One index at a time; every pass turns the first index and moves it to the back.
-        for _ in 0..3 {
-            transformed.third = turn_third(&transformed.third, matrix);
-        }
-        for _ in 0..4 {
-            transformed.fourth = turn_fourth(&transformed.fourth, matrix);
+    pub fn transformed(&self, matrix: &MotionMatrix) -> Self {
+        let row = |a: usize| MotionVector::from(matrix.row(a).transpose());
+        let mut transformed =
+            Self { second: carried(matrix, &self.second), third: Third::ZERO, fourth: Fourth::ZERO };
+        // One index at a time; what is left of them stays symmetric.
+        for a in 0..MAX_RANK {
+            let two_of_third = self.third.along(&row(a));
+            let three_of_fourth = self.fourth.along(&row(a));
+            for b in a..MAX_RANK {
+                let one_of_third = two_of_third.along(&row(b));
+                let two_of_fourth = three_of_fourth.along(&row(b));
+                for c in b..MAX_RANK {
+                    transformed.third[[a, b, c]] = one_of_third.dot(&row(c));
+                    let one_of_fourth = two_of_fourth.along(&row(c));
+                    for d in c..MAX_RANK {
+                        transformed.fourth[[a, b, c, d]] = one_of_fourth.dot(&row(d));
+                    }
+                }
+            }
         }
         transformed
     }
@@ -82,98 +99,27 @@ impl<const RANK: usize> MotionMoments<RANK> {
     /// (sums over the ways to pair the indices).
     #[must_use]
     #[inline(never)]
-    pub fn without_noise(&self, noise: &SMatrix<f64, RANK, RANK>) -> Self {
+    pub fn without_noise(&self, noise: &MotionMatrix) -> Self {
         let nu = |a: usize, b: usize| noise[(a, b)];
         let second = &self.second;
         let mut free = self.clone();
-        for a in 0..RANK {
-            for b in 0..RANK {
-                free.second[a][b] -= nu(a, b);
-                for c in 0..RANK {
-                    for d in 0..RANK {
-                        let pairs = nu(a, b) * second[c][d]
-                            + nu(a, c) * second[b][d]
-                            + nu(a, d) * second[b][c]
-                            + nu(c, d) * second[a][b]
-                            + nu(b, d) * second[a][c]
-                            + nu(b, c) * second[a][d];
+        free.second -= noise;
+        for a in 0..MAX_RANK {
+            for b in a..MAX_RANK {
+                for c in b..MAX_RANK {
+                    for d in c..MAX_RANK {
+                        let pairs = nu(a, b) * second[(c, d)]
+                            + nu(a, c) * second[(b, d)]
+                            + nu(a, d) * second[(b, c)]
+                            + nu(c, d) * second[(a, b)]
+                            + nu(b, d) * second[(a, c)]
+                            + nu(b, c) * second[(a, d)];
                         let pairings = nu(a, b) * nu(c, d) + nu(a, c) * nu(b, d) + nu(a, d) * nu(b, c);
-                        free.fourth[a][b][c][d] += pairings - pairs;
+                        free.fourth[[a, b, c, d]] += pairings - pairs;
                     }
                 }
             }
         }
         free
     }
-
-    /// Moments about zero of coordinates with this mean, from their central moments.
-    #[must_use]
-    pub fn about_zero(&self, mean: &SVector<f64, RANK>) -> Self {
-        let m = mean;
-        let mut raw = self.clone();
-        for a in 0..RANK {
-            for b in 0..RANK {
-                raw.second[a][b] += m[a] * m[b];
-                for c in 0..RANK {
-                    raw.third[a][b][c] += m[a] * self.second[b][c]
-                        + m[b] * self.second[a][c]
-                        + m[c] * self.second[a][b]
-                        + m[a] * m[b] * m[c];
-                    for d in 0..RANK {
-                        raw.fourth[a][b][c][d] += m[a] * self.third[b][c][d]
-                            + m[b] * self.third[a][c][d]
-                            + m[c] * self.third[a][b][d]
-                            + m[d] * self.third[a][b][c]
-                            + pair_products(m, &self.second, [a, b, c, d])
-                            + m[a] * m[b] * m[c] * m[d];
-                    }
-                }
-            }
-        }
-        raw
-    }
-}
-
-/// Σ₆ mₐm_b E_cd, over the ways to choose two of four indices.
-fn pair_products<const RANK: usize>(
-    m: &SVector<f64, RANK>,
-    second: &[[f64; RANK]; RANK],
-    [a, b, c, d]: [usize; 4],
-) -> f64 {
-    m[a] * m[b] * second[c][d]
-        + m[a] * m[c] * second[b][d]
-        + m[a] * m[d] * second[b][c]
-        + m[b] * m[c] * second[a][d]
-        + m[b] * m[d] * second[a][c]
-        + m[c] * m[d] * second[a][b]
-}
-
-pub(super) fn rows<const RANK: usize>(matrix: &SMatrix<f64, RANK, RANK>) -> [[f64; RANK]; RANK] {
-    core::array::from_fn(|a| core::array::from_fn(|b| matrix[(a, b)]))
-}
-
-fn turn_third<const RANK: usize>(tensor: &Third<RANK>, matrix: &SMatrix<f64, RANK, RANK>) -> Third<RANK> {
-    let mut turned = [[[0.0; RANK]; RANK]; RANK];
-    for a in 0..RANK {
-        for b in 0..RANK {
-            for c in 0..RANK {
-                turned[b][c][a] = (0..RANK).map(|i| matrix[(a, i)] * tensor[i][b][c]).sum();
-            }
-        }
-    }
-    turned
-}
-
-fn turn_fourth<const RANK: usize>(tensor: &Fourth<RANK>, matrix: &SMatrix<f64, RANK, RANK>) -> Fourth<RANK> {
-    let mut turned = [[[[0.0; RANK]; RANK]; RANK]; RANK];
-    for a in 0..RANK {
-        for b in 0..RANK {
-            for c in 0..RANK {
-                for d in 0..RANK {
-                    turned[b][c][d][a] = (0..RANK).map(|i| matrix[(a, i)] * tensor[i][b][c][d]).sum();
-                }
-            }
-        }
-    }
-    turned
 }

@@ -7,47 +7,46 @@
 
 use nalgebra::{SMatrix, SVector};
 
+use super::coordinates::{Fourth, MotionVector, Third};
 use super::moments::{Moments, UNIT};
 use super::monomials::{HigherMonomial, for_each_higher_monomial};
-use super::motion_moments::{Fourth, MotionMoments, Third, rows};
+use super::motion_moments::MotionMoments;
+use crate::units::{MAX_RANK, Rank};
 
 /// Powers of the unit of the sums of degree 3 and 4.
 const CUBED_UNIT: f64 = (UNIT * UNIT * UNIT) as f64;
 const FOURTH_POWER_OF_UNIT: f64 = CUBED_UNIT * UNIT as f64;
 
-/// Sums over the samples of the motion's r coordinates y, about the pivot of the codes; every index order is filled in.
+/// Sums over the samples of the motion's r coordinates y, about the pivot of the codes.
 #[derive(Clone, Debug)]
-pub struct MotionSums<const RANK: usize> {
+pub struct MotionSums {
     samples: u64,
     /// Σ y.
-    first: SVector<f64, RANK>,
-    /// Σ yₐy_b.
-    second: SMatrix<f64, RANK, RANK>,
-    third: Third<RANK>,
-    fourth: Fourth<RANK>,
+    first: MotionVector,
+    /// Σ yₐy_b, and so on.
+    higher: MotionMoments,
 }
 
 /// Projects settled moments onto `basis` (p × r, one coordinate a column).
 ///
 /// Never inlined: on the sensor the stack that it takes must be free again before the solution goes on.
 #[inline(never)]
-pub fn project<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
+pub fn project<const GAGES: usize, const HIGHER: usize>(
     moments: &Moments<GAGES, HIGHER>,
-    basis: &SMatrix<f64, GAGES, RANK>,
-) -> MotionSums<RANK> {
+    basis: &SMatrix<f64, GAGES, MAX_RANK>,
+    rank: Rank,
+) -> MotionSums {
     let codes = moments.codes();
     let products = SMatrix::<f64, GAGES, GAGES>::from_fn(|i, j| codes.product_sum(i, j));
-    let (third, fourth) = rotate(moments, basis);
+    let (third, fourth) = rotate(moments, basis, rank);
     MotionSums {
         samples: codes.count(),
         first: basis.transpose() * SVector::from_fn(|i, _| codes.sum[i] as f64),
-        second: basis.transpose() * products * basis,
-        third,
-        fourth,
+        higher: MotionMoments { second: basis.transpose() * products * basis, third, fourth },
     }
 }
 
-impl<const RANK: usize> MotionSums<RANK> {
+impl MotionSums {
     /// The number of samples.
     pub const fn samples(&self) -> u64 {
         self.samples
@@ -57,30 +56,26 @@ impl<const RANK: usize> MotionSums<RANK> {
     pub fn add(&mut self, other: &Self) {
         self.samples += other.samples;
         self.first += other.first;
-        self.second += other.second;
-        for a in 0..RANK {
-            for b in 0..RANK {
-                for c in 0..RANK {
-                    self.third[a][b][c] += other.third[a][b][c];
-                    for d in 0..RANK {
-                        self.fourth[a][b][c][d] += other.fourth[a][b][c][d];
-                    }
-                }
-            }
-        }
+        self.higher.second += other.higher.second;
+        self.higher.third += &other.higher.third;
+        self.higher.fourth += &other.higher.fourth;
     }
 
     /// The mean of y, from the pivot. Of no samples it is zero.
-    pub fn mean(&self) -> SVector<f64, RANK> {
+    pub fn mean(&self) -> MotionVector {
         self.first * self.share()
     }
 
     /// The central moments.
-    pub fn central(&self) -> MotionMoments<RANK> {
+    pub fn central(&self) -> MotionMoments {
         let share = self.share();
-        let third = self.third.map(|rows| rows.map(|row| row.map(|sum| sum * share)));
-        let fourth = self.fourth.map(|blocks| blocks.map(|rows| rows.map(|row| row.map(|sum| sum * share))));
-        MotionMoments::about_mean(&self.mean(), &rows(&(self.second * share)), &third, &fourth)
+        let MotionMoments { second, third, fourth } = &self.higher;
+        let about_pivot = MotionMoments {
+            second: second * share,
+            third: third.scaled(share),
+            fourth: fourth.scaled(share),
+        };
+        about_pivot.about_mean(&self.mean())
     }
 
     fn share(&self) -> f64 {
@@ -92,24 +87,25 @@ impl<const RANK: usize> MotionSums<RANK> {
 ///
 /// Channel indices are kept ascending, i ≤ j ≤ k ≤ l. A monomial contributes once for every *distinct* channel that can
 /// be taken out of it, which is what the guards on repeated indices say.
-fn rotate<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
+fn rotate<const GAGES: usize, const HIGHER: usize>(
     moments: &Moments<GAGES, HIGHER>,
-    basis: &SMatrix<f64, GAGES, RANK>,
-) -> (Third<RANK>, Fourth<RANK>) {
-    let mut third = [[[0.0; RANK]; RANK]; RANK];
-    let mut fourth = [[[[0.0; RANK]; RANK]; RANK]; RANK];
+    basis: &SMatrix<f64, GAGES, MAX_RANK>,
+    rank: Rank,
+) -> (Third<f64>, Fourth<f64>) {
+    let (mut third, mut fourth) = (Third::ZERO, Fourth::ZERO);
     // The largest array of the whole solution: there is one of it.
     let mut triples = [[[0.0; GAGES]; GAGES]; GAGES];
-    for a in 0..RANK {
+    let axes = rank.count();
+    for a in 0..axes {
         let pairs = take_from_sums(moments, basis, a, &mut triples);
-        for b in a..RANK {
+        for b in a..axes {
             let two_of_three = take_from_pairs(&pairs, basis, b);
             let two_of_four = take_from_triples(&triples, basis, b);
-            for c in b..RANK {
-                fill_third(&mut third, [a, b, c], along(&two_of_three, basis, c));
+            for c in b..axes {
+                third[[a, b, c]] = along(&two_of_three, basis, c);
                 let three_of_four = take_from_pairs(&two_of_four, basis, c);
-                for d in c..RANK {
-                    fill_fourth(&mut fourth, [a, b, c, d], along(&three_of_four, basis, d));
+                for d in c..axes {
+                    fourth[[a, b, c, d]] = along(&three_of_four, basis, d);
                 }
             }
         }
@@ -122,9 +118,9 @@ type Triples<const GAGES: usize> = [[[f64; GAGES]; GAGES]; GAGES];
 
 /// Takes one channel out of every sum and rotates it onto coordinate `axis`: of cubics ascending pairs remain, of quartics
 /// ascending `triples`.
-fn take_from_sums<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
+fn take_from_sums<const GAGES: usize, const HIGHER: usize>(
     moments: &Moments<GAGES, HIGHER>,
-    basis: &SMatrix<f64, GAGES, RANK>,
+    basis: &SMatrix<f64, GAGES, MAX_RANK>,
     axis: usize,
     triples: &mut Triples<GAGES>,
 ) -> Pairs<GAGES> {
@@ -163,9 +159,9 @@ fn take_from_sums<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
 }
 
 /// Takes one channel out of ascending triples and rotates it onto coordinate `axis`: ascending pairs remain.
-fn take_from_triples<const GAGES: usize, const RANK: usize>(
+fn take_from_triples<const GAGES: usize>(
     triples: &[[[f64; GAGES]; GAGES]; GAGES],
-    basis: &SMatrix<f64, GAGES, RANK>,
+    basis: &SMatrix<f64, GAGES, MAX_RANK>,
     axis: usize,
 ) -> [[f64; GAGES]; GAGES] {
     let mut pairs = [[0.0; GAGES]; GAGES];
@@ -187,9 +183,9 @@ fn take_from_triples<const GAGES: usize, const RANK: usize>(
 }
 
 /// Takes one channel out of ascending pairs and rotates it onto coordinate `axis`: single channels remain.
-fn take_from_pairs<const GAGES: usize, const RANK: usize>(
+fn take_from_pairs<const GAGES: usize>(
     pairs: &[[f64; GAGES]; GAGES],
-    basis: &SMatrix<f64, GAGES, RANK>,
+    basis: &SMatrix<f64, GAGES, MAX_RANK>,
     axis: usize,
 ) -> [f64; GAGES] {
     let mut singles = [0.0; GAGES];
@@ -205,31 +201,19 @@ fn take_from_pairs<const GAGES: usize, const RANK: usize>(
 }
 
 /// Rotates the last channel index onto coordinate `axis`.
-fn along<const GAGES: usize, const RANK: usize>(
+fn along<const GAGES: usize>(
     singles: &[f64; GAGES],
-    basis: &SMatrix<f64, GAGES, RANK>,
+    basis: &SMatrix<f64, GAGES, MAX_RANK>,
     axis: usize,
 ) -> f64 {
     singles.iter().zip(basis.column(axis).iter()).map(|(value, weight)| value * weight).sum()
-}
-
-fn fill_third<const RANK: usize>(tensor: &mut Third<RANK>, [a, b, c]: [usize; 3], value: f64) {
-    for [x, y, z] in [[a, b, c], [a, c, b], [b, a, c], [b, c, a], [c, a, b], [c, b, a]] {
-        tensor[x][y][z] = value;
-    }
-}
-
-fn fill_fourth<const RANK: usize>(tensor: &mut Fourth<RANK>, [a, b, c, d]: [usize; 4], value: f64) {
-    for (first, rest) in [(a, [b, c, d]), (b, [a, c, d]), (c, [a, b, d]), (d, [a, b, c])] {
-        fill_third(&mut tensor[first], rest, value);
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::project;
     use crate::estimation::moments::Moments;
-    use crate::units::AdcCode;
+    use crate::units::{AdcCode, Rank};
     use nalgebra::{SMatrix, SVector};
 
     /// Turning the sums of all channels gives the same moments as turning every sample first.
@@ -255,7 +239,7 @@ mod tests {
             0.5, 0.5, -0.5, //
             0.5, -0.5, -0.5,
         );
-        let projected = project(&moments, &basis).central();
+        let projected = project(&moments, &basis, Rank::Spatial).central();
 
         let mean = moments.codes().mean().counts;
         let motion: [SVector<f64, 3>; 7] =
@@ -267,11 +251,11 @@ mod tests {
         let close = |got: f64, expected: f64, scale: f64| (got - expected).abs() <= 1e-6 * scale;
         for a in 0..3 {
             for b in 0..3 {
-                assert!(close(projected.second[a][b], expectation(&[a, b]), 1e4));
+                assert!(close(projected.second[(a, b)], expectation(&[a, b]), 1e4));
                 for c in 0..3 {
-                    assert!(close(projected.third[a][b][c], expectation(&[a, b, c]), 1e6));
+                    assert!(close(projected.third[[a, b, c]], expectation(&[a, b, c]), 1e6));
                     for d in 0..3 {
-                        assert!(close(projected.fourth[a][b][c][d], expectation(&[a, b, c, d]), 1e8));
+                        assert!(close(projected.fourth[[a, b, c, d]], expectation(&[a, b, c, d]), 1e8));
                     }
                 }
             }

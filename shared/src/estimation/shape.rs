@@ -1,9 +1,10 @@
 //! Shape and bias of one trial: the whole of the paper's figure 2 up to the known loads (eq. 10, 11, design § 3).
 
-use nalgebra::{Cholesky, SMatrix, SVector};
+use nalgebra::{SMatrix, SVector};
 
 use super::basis::{Basis, basis};
 use super::code_sums::CodeMean;
+use super::coordinates::{MotionMatrix, MotionVector, carried, cholesky, product, vector};
 use super::directions::DirectionMoments;
 use super::eigen::symmetric_eigen;
 use super::metric::{
@@ -15,6 +16,7 @@ use super::projection::{MotionSums, project};
 use super::rest_noise::ChannelNoise;
 use super::uncertainty::{Regressors, TrialUncertainty, predict};
 use crate::refusal::Refusal;
+use crate::units::{MAX_RANK, Rank};
 
 /// Standard deviations of the unexplained variance that are chance.
 const LARGEST_CHANCE: f64 = 4.0;
@@ -22,12 +24,15 @@ const LARGEST_CHANCE: f64 = 4.0;
 /// Samples that a disturbance lasts at most: as many as a second has at the usual rates.
 const LONGEST_DISTURBANCE: f64 = 1000.0;
 
-/// What one trial tells: the sensor's shape for a load at that trial's moment arm, in an arbitrary orientation.
+/// What one trial tells: the sensor's shape for a load at that trial's moment arm, in an arbitrary orientation. What lies beyond
+/// the rank is zero.
 #[derive(Clone, Debug)]
-pub struct TrialSolution<const GAGES: usize, const RANK: usize> {
+pub struct TrialSolution<const GAGES: usize> {
+    /// r.
+    pub rank: Rank,
     /// S (r × p), counts per unit load, so that z = b + Sᵀm with |m| = 1. Known up to a rotation and a mirror image; its
     /// rows are made orthogonal, longest first.
-    pub shape_counts_per_load: SMatrix<f64, RANK, GAGES>,
+    pub shape_counts_per_load: SMatrix<f64, MAX_RANK, GAGES>,
     /// b (p), counts: the codes with no load.
     pub bias_counts: SVector<f64, GAGES>,
     /// Eigenvalues of the covariance of the codes (p), descending, counts².
@@ -40,21 +45,22 @@ pub struct TrialSolution<const GAGES: usize, const RANK: usize> {
     /// Variance of |m|² that the noise does not explain.
     pub unexplained: f64,
     /// C (r × p), per unit load: the load m = C(z − b) of a sample, by least squares weighted by the channels' noise.
-    pub to_load: SMatrix<f64, RANK, GAGES>,
+    pub to_load: SMatrix<f64, MAX_RANK, GAGES>,
     /// Covariance of the noise of that load (r × r).
-    pub load_noise: SMatrix<f64, RANK, RANK>,
+    pub load_noise: MotionMatrix,
     /// Covariance of the noise that remains, (I − SᵀC)e, over [`noise_variance`](Self::noise_variance) (p × p): where all
     /// channels are equally noisy, the projection onto the redundant directions of the codes.
     pub redundant_noise: SMatrix<f64, GAGES, GAGES>,
     /// Where the load has been, in the orientation of the shape.
-    pub directions: DirectionMoments<RANK>,
+    pub directions: DirectionMoments,
     /// How well shape and bias are known.
-    pub uncertainty: TrialUncertainty<RANK>,
+    pub uncertainty: TrialUncertainty,
 }
 
 /// The fewest samples a trial of this rank needs: twice the unknowns of the metric constraint, since fewer fit exactly
 /// whatever the motion was.
-pub const fn least_samples(rank: usize) -> u64 {
+pub const fn least_samples(rank: Rank) -> u64 {
+    let rank = rank.count();
     (rank * (rank + 1) + 2 * rank) as u64
 }
 
@@ -63,21 +69,22 @@ pub const fn least_samples(rank: usize) -> u64 {
 /// # Errors
 ///
 /// [`Refusal::TooFewSamples`], and every refusal of [`basis`] and [`metric`].
-pub fn solve_trial<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
+pub fn solve_trial<const GAGES: usize, const HIGHER: usize>(
     moments: &Moments<GAGES, HIGHER>,
-) -> Result<TrialSolution<GAGES, RANK>, Refusal> {
-    require_samples::<RANK>(moments.count())?;
+    rank: Rank,
+) -> Result<TrialSolution<GAGES>, Refusal> {
+    require_samples(moments.count(), rank)?;
     let noise = ChannelNoise::unknown(1);
-    let subspace = basis::<GAGES, RANK>(&moments.codes().covariance(), moments.count(), &noise)?;
-    let quiet = project(moments, &subspace.projection);
+    let subspace = basis(rank, &moments.codes().covariance(), moments.count(), &noise)?;
+    let quiet = project(moments, &subspace.projection, rank);
     let runs = moments.count();
     solve_within(&subspace, &moments.codes().mean(), &quiet, runs, LARGEST_RELATIVE_UNCERTAINTY)
 }
 
-/// A trial of an unknown rank, or of too few samples, is refused.
-pub(crate) const fn require_samples<const RANK: usize>(samples: u64) -> Result<(), Refusal> {
-    if samples < least_samples(RANK) {
-        return Err(Refusal::TooFewSamples { have: samples, need: least_samples(RANK) });
+/// A trial of too few samples is refused.
+pub(crate) const fn require_samples(samples: u64, rank: Rank) -> Result<(), Refusal> {
+    if samples < least_samples(rank) {
+        return Err(Refusal::TooFewSamples { have: samples, need: least_samples(rank) });
     }
     Ok(())
 }
@@ -91,32 +98,32 @@ pub(crate) const fn require_samples<const RANK: usize>(samples: u64) -> Result<(
 /// [`Refusal::TooFewSamples`], every refusal of [`metric`], and [`Refusal::MotionDoesNotSpan`] where any coefficient is more
 /// uncertain than `accepted`.
 #[inline(never)]
-pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
-    subspace: &Basis<GAGES, RANK>,
+pub(crate) fn solve_within<const GAGES: usize>(
+    subspace: &Basis<GAGES>,
     all: &CodeMean<GAGES>,
-    quiet: &MotionSums<RANK>,
+    quiet: &MotionSums,
     runs: u64,
     accepted: f64,
-) -> Result<TrialSolution<GAGES, RANK>, Refusal> {
+) -> Result<TrialSolution<GAGES>, Refusal> {
     let samples = quiet.samples();
-    require_samples::<RANK>(samples)?;
-    let &Basis { projection, embedding, variances, eigenvalues, noise_variance, rounding, relative_noise } =
-        subspace;
+    require_samples(samples, subspace.rank)?;
+    let Basis { rank, projection, embedding, variances, noise_variance, .. } = subspace;
+    let rank = *rank;
     let deviations = variances.map(libm::sqrt);
-    let whitening = SMatrix::<f64, RANK, RANK>::from_diagonal(&deviations.map(|deviation| 1.0 / deviation));
+    let whitening = MotionMatrix::from_diagonal(&vector(rank, |axis| 1.0 / deviations[axis]));
     // Where nothing tells the noise, there is at least the rounding.
-    let noise = noise_variance.unwrap_or(rounding);
-    let whitened_noise = variances.map(|variance| noise / variance);
+    let noise = noise_variance.unwrap_or(subspace.rounding);
+    let whitened_noise = vector(rank, |axis| noise / variances[axis]);
     let (metric, noise_shift) = constraint(subspace, quiet, &whitening, noise, accepted)?;
 
     // M = LLᵀ makes m = Lᵀ(x − c) a unit vector, so z = b + VΛ^½L⁻ᵀm, V being the embedding: A = L⁻¹ in eq. 11, with
     // Ŝ = Λ^½Vᵀ.
-    let factor = Cholesky::new(metric.matrix).ok_or(Refusal::MetricNotPositiveDefinite)?;
-    let indeterminate_shape = SMatrix::<f64, RANK, RANK>::from_diagonal(&deviations) * embedding.transpose();
+    let factor = cholesky(&metric.matrix, rank).ok_or(Refusal::MetricNotPositiveDefinite)?;
+    let indeterminate_shape = MotionMatrix::from_diagonal(&deviations) * embedding.transpose();
     let shape =
         factor.l().solve_lower_triangular(&indeterminate_shape).ok_or(Refusal::MetricNotPositiveDefinite)?;
     // The orientation is arbitrary, so it is chosen: rows orthogonal, longest first.
-    let principal = symmetric_eigen(&(shape * shape.transpose()))?;
+    let principal = symmetric_eigen(&(shape * shape.transpose()), rank.count())?;
     let orientation = principal.vectors.transpose();
     let shape_counts_per_load = orientation * shape;
     // Across the subspace there is but the bias, and every sample tells it.
@@ -124,24 +131,29 @@ pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
     let bias_counts =
         all.counts + embedding * quiet_from_all + indeterminate_shape.transpose() * metric.centre;
 
-    let to_direction = orientation * factor.l().transpose();
-    let load_noise = to_direction * SMatrix::from_diagonal(&whitened_noise) * to_direction.transpose();
-    let directions =
-        directions(quiet, &(to_direction * whitening), &(to_direction * -metric.centre), &load_noise);
+    let to_direction = product(&orientation, &factor.l().transpose());
+    let load_noise = carried(&to_direction, &MotionMatrix::from_diagonal(&whitened_noise));
+    let directions = directions(
+        rank,
+        quiet,
+        &product(&to_direction, &whitening),
+        &(to_direction * -metric.centre),
+        &load_noise,
+    );
     let mean_of_all = to_direction * (-metric.centre - whitening * quiet_from_all);
-    let free_of_noise = SMatrix::<f64, RANK, RANK>::identity() - SMatrix::from_diagonal(&whitened_noise);
+    // Whitened, the variances are one, noise included.
+    let free_of_noise = product(&to_direction, &to_direction.transpose()) - load_noise;
     let regressors = Regressors {
         mean: mean_of_all,
-        second: to_direction * free_of_noise * to_direction.transpose()
-            + mean_of_all * mean_of_all.transpose(),
+        second: free_of_noise + mean_of_all * mean_of_all.transpose(),
         samples: all.samples,
     };
     let unexplained =
         if noise_shift.is_some() { metric.unexplained.max(LEAST_UNEXPLAINED) } else { metric.unexplained };
-    let unexplained = unexplained + lasting(unexplained, &load_noise, samples, runs);
+    let unexplained = unexplained + lasting(rank, unexplained, &load_noise, samples, runs);
     let mut uncertainty = predict(&directions, &regressors, &load_noise, noise, unexplained, samples)?;
     if let Some(NoiseShift { metric, centre }) = noise_shift {
-        uncertainty.add_shift(&(orientation * metric * orientation.transpose()), &(orientation * centre));
+        uncertainty.add_shift(&carried(&orientation, &metric), &(orientation * centre));
     }
     // A cap of directions may determine the principal values of the constraint, and leave the bias and a gain to trade places.
     let worst = uncertainty.worst_relative();
@@ -153,15 +165,16 @@ pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
         return Err(Refusal::NonFinite);
     }
     Ok(TrialSolution {
+        rank,
         shape_counts_per_load,
         bias_counts,
-        eigenvalues,
-        noise_variance,
+        eigenvalues: subspace.eigenvalues,
+        noise_variance: *noise_variance,
         samples,
         unexplained: metric.unexplained,
-        to_load: to_direction * whitening * projection.transpose(),
+        to_load: product(&to_direction, &whitening) * projection.transpose(),
         load_noise,
-        redundant_noise: relative_noise - embedding * embedding.transpose(),
+        redundant_noise: subspace.redundant_noise(),
         directions,
         uncertainty,
     })
@@ -172,14 +185,9 @@ pub(crate) fn solve_within<const GAGES: usize, const RANK: usize>(
 ///
 /// Only what is more than chance counts: of n samples with the variance v̄ from noise and u beyond it, u itself is known to
 /// √(2/n)·(v̄ + u).
-fn lasting<const RANK: usize>(
-    unexplained: f64,
-    load_noise: &SMatrix<f64, RANK, RANK>,
-    samples: u64,
-    runs: u64,
-) -> f64 {
+fn lasting(rank: Rank, unexplained: f64, load_noise: &MotionMatrix, samples: u64, runs: u64) -> f64 {
     let samples = samples.max(1) as f64;
-    let of_noise = 4.0 * load_noise.trace() / RANK as f64 + 2.0 * load_noise.norm_squared();
+    let of_noise = 4.0 * load_noise.trace() / rank.count() as f64 + 2.0 * load_noise.norm_squared();
     let chance = libm::sqrt(2.0 / samples) * (of_noise + unexplained);
     let beyond_chance = (unexplained - LARGEST_CHANCE * chance).max(0.0);
     let longest = (samples / runs.max(1) as f64).min(LONGEST_DISTURBANCE);
@@ -189,19 +197,19 @@ fn lasting<const RANK: usize>(
 /// The metric constraint in whitened coordinates. Never inlined, nor is [`directions`]: moments up to degree four are large, and the
 /// sensor's stack is not.
 #[inline(never)]
-fn constraint<const GAGES: usize, const RANK: usize>(
-    subspace: &Basis<GAGES, RANK>,
-    quiet: &MotionSums<RANK>,
-    whitening: &SMatrix<f64, RANK, RANK>,
+fn constraint<const GAGES: usize>(
+    subspace: &Basis<GAGES>,
+    quiet: &MotionSums,
+    whitening: &MotionMatrix,
     noise_variance: f64,
     accepted: f64,
-) -> Result<(Metric<RANK>, Option<NoiseShift<RANK>>), Refusal> {
+) -> Result<(Metric, Option<NoiseShift>), Refusal> {
     let whitened = quiet.central().transformed(whitening);
-    let (variances, samples) = (&subspace.variances, quiet.samples());
-    let metric = metric(&whitened, variances, noise_variance, samples, accepted)?;
+    let (rank, variances, samples) = (subspace.rank, &subspace.variances, quiet.samples());
+    let metric = metric(rank, &whitened, variances, noise_variance, samples, accepted)?;
     let noise_shift = match subspace.noise_variance {
         Some(_) => None,
-        None => Some(require_indifference_to_noise(&whitened, variances, &metric, samples, accepted)?),
+        None => Some(require_indifference_to_noise(rank, &whitened, variances, &metric, samples, accepted)?),
     };
     Ok((metric, noise_shift))
 }
@@ -209,12 +217,13 @@ fn constraint<const GAGES: usize, const RANK: usize>(
 /// Where the load has been: `to_direction` (r × r) takes the coordinates of the motion to directions, `mean` is their mean
 /// and `noise` the covariance of their noise.
 #[inline(never)]
-fn directions<const RANK: usize>(
-    quiet: &MotionSums<RANK>,
-    to_direction: &SMatrix<f64, RANK, RANK>,
-    mean: &SVector<f64, RANK>,
-    noise: &SMatrix<f64, RANK, RANK>,
-) -> DirectionMoments<RANK> {
+fn directions(
+    rank: Rank,
+    quiet: &MotionSums,
+    to_direction: &MotionMatrix,
+    mean: &MotionVector,
+    noise: &MotionMatrix,
+) -> DirectionMoments {
     let central = quiet.central().transformed(to_direction).without_noise(noise);
-    DirectionMoments::new(*mean, &central)
+    DirectionMoments::new(rank, *mean, &central)
 }

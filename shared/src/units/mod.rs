@@ -6,12 +6,14 @@ mod code;
 mod converter;
 mod decimation;
 mod dof;
+mod rank;
 mod time;
 
 pub use code::AdcCode;
 pub use converter::{DataRate, Gain};
 pub use decimation::Decimation;
 pub use dof::{Axis, Dof};
+pub use rank::{MAX_RANK, Rank};
 pub use time::{DeviceTime, SampleIndex};
 
 /// The most gage channels that one sensor may have.

@@ -4,7 +4,7 @@
 //! than 5 % of a gage's RMS signal. An answer that is far off but says so is none; nor is one that is off by a trifle.
 
 use ftcal_shared::estimation::shape::solve_trial;
-use ftcal_tests::{KnownSensor, moments_of, random};
+use ftcal_tests::{KnownSensor, moments_of, random, rank};
 use nalgebra::{Rotation3, SVector, Vector3};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -74,7 +74,9 @@ pub(crate) fn case<const GAGES: usize, const HIGHER: usize, const RANK: usize>(
         .iter()
         .map(|direction| sensor.codes(&SVector::from_fn(|axis, _| direction[axis]), &mut rng))
         .collect();
-    let Ok(answer) = solve_trial::<GAGES, HIGHER, RANK>(&moments_of(&codes)) else { return Outcome::Refused };
+    let Ok(answer) = solve_trial::<GAGES, HIGHER>(&moments_of(&codes), rank::<RANK>()) else {
+        return Outcome::Refused;
+    };
     let wrong = Comparison::new(&sensor, &answer).errors().any(|(error, deviation)| {
         // Written so that an error or a deviation that is no number is wrong.
         !(error.abs() <= DEVIATIONS * deviation || error.abs() <= SHARE_OF_SIGNAL * SIGNAL_COUNTS)

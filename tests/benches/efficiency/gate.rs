@@ -19,7 +19,7 @@ use ftcal::session_file::STANDARD_GRAVITY;
 use ftcal_shared::estimation::bins::Bins;
 use ftcal_shared::estimation::moments::higher_moment_count;
 use ftcal_shared::estimation::shape::TrialSolution;
-use ftcal_shared::units::{AdcCode, Dof};
+use ftcal_shared::units::{AdcCode, Dof, Rank};
 use ftcal_tests::hand::{Pose, codes, hand};
 use ftcal_tests::{KnownSensor, random};
 use nalgebra::{SMatrix, SVector};
@@ -102,7 +102,7 @@ fn squared_error(sensor: &KnownSensor<GAGES, 3>, codes: &[[AdcCode; GAGES]], gat
         }
     }
     bins.finish();
-    let solution: Option<TrialSolution<GAGES, 3>> = bins.solve().ok().map(|quiet| quiet.solution);
+    let solution: Option<TrialSolution<GAGES>> = bins.solve(Rank::Spatial).ok().map(|quiet| quiet.solution);
     solution.map_or(f64::INFINITY, |solution| Comparison::new(sensor, &solution).shape_error.norm_squared())
 }
 

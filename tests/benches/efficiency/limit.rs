@@ -2,7 +2,7 @@
 
 use ftcal_shared::estimation::shape::solve_trial;
 use ftcal_shared::units::AdcCode;
-use ftcal_tests::{KnownSensor, moments_of, random};
+use ftcal_tests::{KnownSensor, moments_of, random, rank};
 use nalgebra::SVector;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -27,7 +27,7 @@ pub(crate) fn error_over_bound<const GAGES: usize, const HIGHER: usize, const RA
         let sensor: KnownSensor<GAGES, RANK> = setting.sensor(&mut rng);
         let mut information = Information::new(&sensor);
         let codes = trial(&sensor, setting.samples, &mut rng, |direction| information.add(direction));
-        let Ok(answer) = solve_trial::<GAGES, HIGHER, RANK>(&moments_of(&codes)) else {
+        let Ok(answer) = solve_trial::<GAGES, HIGHER>(&moments_of(&codes), rank::<RANK>()) else {
             return f64::INFINITY;
         };
         squared_error += Comparison::new(&sensor, &answer).shape_error.norm_squared();
@@ -57,7 +57,7 @@ pub(crate) fn honesty<const GAGES: usize, const HIGHER: usize, const RANK: usize
     let mut sums = HonestySums::new((RANK + 1) * GAGES);
     for _ in 0..REPETITIONS {
         let codes = trial(&sensor, setting.samples, &mut rng, |_| ());
-        let Ok(answer) = solve_trial::<GAGES, HIGHER, RANK>(&moments_of(&codes)) else { continue };
+        let Ok(answer) = solve_trial::<GAGES, HIGHER>(&moments_of(&codes), rank::<RANK>()) else { continue };
         sums.add(Comparison::new(&sensor, &answer).errors());
     }
     sums.honesty()

@@ -1,6 +1,7 @@
 //! What is measured: a sensor of given roundness and noise, and a truth to compare with.
 
 use ftcal_shared::estimation::shape::TrialSolution;
+use ftcal_shared::units::MAX_RANK;
 use ftcal_tests::KnownSensor;
 use nalgebra::{DMatrix, SMatrix, SVector};
 use rand_chacha::ChaCha8Rng;
@@ -59,14 +60,19 @@ pub(crate) struct Comparison<const GAGES: usize, const RANK: usize> {
 
 impl<const GAGES: usize, const RANK: usize> Comparison<GAGES, RANK> {
     /// Turns the answer to where it fits the truth best.
-    pub(crate) fn new(truth: &KnownSensor<GAGES, RANK>, answer: &TrialSolution<GAGES, RANK>) -> Self {
-        let shape = &answer.shape_counts_per_load;
-        let turn = procrustes(&truth.shape, shape);
+    pub(crate) fn new(truth: &KnownSensor<GAGES, RANK>, answer: &TrialSolution<GAGES>) -> Self {
+        let padded_shape = &answer.shape_counts_per_load;
+        let shape = padded_shape.fixed_rows::<RANK>(0).into_owned();
+        let turn = procrustes(&truth.shape, &shape);
+        let mut padded_turn = SMatrix::<f64, MAX_RANK, MAX_RANK>::zeros();
+        padded_turn.fixed_view_mut::<RANK, RANK>(0, 0).copy_from(&turn);
+        let (uncertainty, redundant_noise) = (&answer.uncertainty, &answer.redundant_noise);
+        let deviation = uncertainty.turned_shape_deviation(padded_shape, redundant_noise, &padded_turn);
         Self {
             shape_error: turn * shape - truth.shape,
-            shape_deviation: answer.uncertainty.turned_shape_deviation(shape, &answer.redundant_noise, &turn),
+            shape_deviation: deviation.fixed_rows::<RANK>(0).into_owned(),
             bias_error: answer.bias_counts - truth.bias,
-            bias_deviation: answer.uncertainty.bias_deviation(shape, &answer.redundant_noise),
+            bias_deviation: uncertainty.bias_deviation(padded_shape, redundant_noise),
         }
     }
 

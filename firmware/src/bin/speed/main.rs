@@ -34,7 +34,7 @@ mod target {
     use ftcal_shared::estimation::gate::Gate;
     use ftcal_shared::estimation::moments::{BLOCK, Moments, higher_moment_count};
     use ftcal_shared::estimation::parity::ParitySpace;
-    use ftcal_shared::units::{AdcCode, DataRate, Dof};
+    use ftcal_shared::units::{AdcCode, DataRate, Dof, Rank};
     // The interrupt table comes with the device.
     use stm32f4xx_hal as _;
 
@@ -170,7 +170,7 @@ mod target {
         let depth = stack::depth();
         hprintln!("stack_sampling {}", stack::used() - depth);
         let mut solved = None;
-        let ticks = ticks(|| solved = black_box(black_box(&*bins).solve::<3>().ok()));
+        let ticks = ticks(|| solved = black_box(black_box(&*bins).solve(Rank::Spatial).ok()));
         hprintln!("solve {:.0}", counter.instructions(ticks));
         hprintln!("stack_solving {}", stack::used() - depth);
         let expectation = solved.and_then(|solved| Expectation::new(&solved.solution).ok().flatten());

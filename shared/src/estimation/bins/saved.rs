@@ -80,7 +80,7 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
 #[cfg(test)]
 mod tests {
     use super::{Bins, Part};
-    use crate::units::AdcCode;
+    use crate::units::{AdcCode, MAX_RANK, Rank};
 
     const GAGES: usize = 3;
     type TestBins = Bins<GAGES, 25>;
@@ -126,7 +126,7 @@ mod tests {
         }
         undisturbed.finish();
         disturbed.finish();
-        let solved = |bins: &TestBins| bins.solve::<2>().unwrap().solution.shape_counts_per_load;
+        let solved = |bins: &TestBins| bins.solve(Rank::Planar).unwrap().solution.shape_counts_per_load;
         assert_eq!(solved(&undisturbed), solved(&disturbed));
     }
 
@@ -143,10 +143,10 @@ mod tests {
         whole.finish();
         resumed.finish();
         assert!(whole.count() - resumed.count() <= 3 * 32 + 28);
-        let solved = |bins: &TestBins| bins.solve::<2>().unwrap().solution;
+        let solved = |bins: &TestBins| bins.solve(Rank::Planar).unwrap().solution;
         let (whole, resumed) = (solved(&whole), solved(&resumed));
         // SᵀS knows no orientation. A few samples less change it by far less than it is uncertain.
-        let gram = |shape: nalgebra::SMatrix<f64, 2, GAGES>| shape.transpose() * shape;
+        let gram = |shape: nalgebra::SMatrix<f64, MAX_RANK, GAGES>| shape.transpose() * shape;
         let expected = gram(whole.shape_counts_per_load);
         let difference = (gram(resumed.shape_counts_per_load) - expected).amax() / expected.amax();
         assert!(difference < 1e-3, "{difference}");
