@@ -70,9 +70,8 @@ where
         }
         let job = match request {
             MemoryRequest::StoreCalibration => {
-                let LoadedCalibration { upload, gain, .. } =
-                    self.calibration.as_ref().ok_or(Rejection::Uncalibrated)?;
-                StoreJob::Calibration(StoredCalibration { upload: upload.clone(), gain: *gain })
+                let loaded = self.calibration.as_ref().ok_or(Rejection::Uncalibrated)?;
+                StoreJob::Calibration(loaded.to_be_stored())
             }
             MemoryRequest::RollBack { to } => StoreJob::RollBack(to),
             MemoryRequest::StoreSettings => StoreJob::Settings(self.settings(), self.health.kept()),
@@ -94,18 +93,18 @@ where
         served.unwrap_or_else(Response::Rejected)
     }
 
-    fn settings(&self) -> Settings {
+    pub(super) fn settings(&self) -> Settings {
         let &AdcSettings { data_rate, gain, .. } = self.acquisition.settings();
         Settings { data_rate, gain }
     }
 
     /// Notes what is kept; and uses it, if so wanted.
-    fn take_up(&mut self, kept: Kept, use_it: bool) -> Result<(), Rejection> {
+    pub(super) fn take_up(&mut self, kept: Kept, use_it: bool) -> Result<(), Rejection> {
         let Kept { calibration, calibrations, identity, .. } = kept;
         self.kept = calibrations;
         self.identity = identity;
-        let Some(StoredCalibration { upload, gain }) = calibration else { return Ok(()) };
-        match LoadedCalibration::new(upload, gain) {
+        let Some(stored) = calibration else { return Ok(()) };
+        match LoadedCalibration::new(stored) {
             Ok(loaded) if use_it => self.use_calibration(loaded),
             Ok(_) => {}
             Err(rejection) => {
