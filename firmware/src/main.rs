@@ -2,9 +2,9 @@
 //!
 //! | priority | task | interrupt | does |
 //! |---|---|---|---|
-//! | 4 | `link` | USART2 | moves bytes between the line and two queues, nothing else |
+//! | 4 | `link` | USART3 | moves bytes between the line and two queues, nothing else |
 //! | 3 | `sample` | EXTI9_5: data-ready | the sample path: read, take into the trial, apply, queue the outcome |
-//! | 3 | `tick` | SysTick, every 2 ms | watches over the converter, starts it where it is due |
+//! | 3 | `tick` | SysTick, every 2 ms | watches over the converter, starts it where it is due; the light shows whether it runs |
 //! | 2 | `session` | TIM7, raised by hand | decodes requests, has them answered, puts samples together into frames |
 //! | 0 | `idle` | none | reads the memory at the start; then solves trials and stores, in the background |
 //!
@@ -27,8 +27,8 @@ mod board;
 fn main() -> std::process::ExitCode {
     eprintln!(
         "This is the firmware of the sensor; it runs on an STM32F405, not here. Build it with\n\
-         cargo build -p ftcal-firmware --profile firmware --target thumbv7em-none-eabihf\n\
-         and bring it to the sensor with `ftcal flash IMAGE`, or run it in the emulator: see the README."
+         cargo build -p ftcal-firmware --profile firmware --target thumbv7em-none-eabihf --features BOARD\n\
+         and bring it to the sensor with `ftcal flash IMAGE`, or run it in the emulator: see firmware/README.md."
     );
     std::process::ExitCode::from(2)
 }
@@ -55,8 +55,9 @@ mod app {
     use stm32f4xx_hal::pac::Interrupt;
 
     use crate::board::link::{Link, LinkQueues, Outbox, is_changing_rate};
+    use crate::board::panel::Panel;
     use crate::board::watchdog::Watchdog;
-    use crate::board::{Converter, DataReady, Flash, Start, set_up, time_base};
+    use crate::board::{Converter, DataReady, Flash, Start, set_up, time_base, wiring};
 
     /// Gages on the converter.
     const GAGES: usize = 8;
@@ -92,6 +93,7 @@ mod app {
     struct Local {
         link: Link,
         data_ready: DataReady,
+        panel: Panel,
         watchdog: Watchdog,
         start: Start,
         conversation: Conversation,
@@ -157,7 +159,12 @@ mod app {
 
         let queues = LinkQueues { received: received_in, to_send: to_send_out };
         let board = set_up(context.device, context.core.SYST, queues);
-        defmt::info!("ftcal {=str}, clock: {}", env!("CARGO_PKG_VERSION"), board.clock);
+        defmt::info!(
+            "ftcal {=str} on {=str}, clock: {}",
+            env!("CARGO_PKG_VERSION"),
+            wiring::NAME,
+            board.clock
+        );
 
         let mut sensor = Sensor::new(board.converter, context.local.store, board.clock);
         sensor.note_start(&board.start.diagnosis());
@@ -182,6 +189,7 @@ mod app {
         let local = Local {
             link: board.link,
             data_ready: board.data_ready,
+            panel: board.panel,
             watchdog: board.watchdog,
             start: board.start,
             keeper: Keeper::new(board.flash),
@@ -191,7 +199,7 @@ mod app {
     }
 
     /// A byte came, or may go.
-    #[task(binds = USART2, priority = 4, local = [link])]
+    #[task(binds = USART3, priority = 4, local = [link])]
     fn link(context: link::Context) {
         let served = context.local.link.serve();
         if served.received || served.sent_all {
@@ -210,15 +218,20 @@ mod app {
     }
 
     /// Time passes.
-    #[task(binds = SysTick, priority = 3, local = [watchdog], shared = [sensor, moments, &dropped_samples, &vitality])]
+    #[task(binds = SysTick, priority = 3, local = [panel, watchdog], shared = [sensor, moments, &dropped_samples, &vitality])]
     fn tick(mut context: tick::Context) {
         time_base::follow();
         context.shared.vitality.report(Task::Tick);
         if context.shared.vitality.all_have_run() {
             context.local.watchdog.feed();
         }
-        let moment =
-            context.shared.sensor.lock(|sensor| sensor.tick(time_base::now(), &mut time_base::Delay));
+        let (moment, runs) = context.shared.sensor.lock(|sensor| {
+            let moment = sensor.tick(time_base::now(), &mut time_base::Delay);
+            (moment, sensor.converter_runs())
+        });
+        let Panel { button, light } = context.local.panel;
+        // The button inverts the light, which shows that both work.
+        light.set(runs != button.is_pressed());
         queue_moment(moment, context.shared.moments, context.shared.dropped_samples);
         // Samples that wait for others may have waited long enough, and the session is to show that it is alive.
         rtic::pend(Interrupt::TIM7);
@@ -247,7 +260,7 @@ mod app {
             let Some(message) = next_message(&mut context) else { break };
             context.local.conversation.outbox.put(&message);
         }
-        rtic::pend(Interrupt::USART2);
+        rtic::pend(Interrupt::USART3);
     }
 
     /// Ends what a host that has gone has left running.

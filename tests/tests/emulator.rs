@@ -1,6 +1,6 @@
 //! The firmware's images in the emulator, driven by the host library over a pseudo-terminal.
 //!
-//! Both are run: the emulated one, whose converter is the simulator's, and the real one, which finds nothing on its bus.
+//! All are run: the emulated one, whose converter is the simulator's, and those of real boards, which find nothing on their bus.
 //! `tests/run` builds them and sees to the emulator. One board at a time: two would be too slow for a small machine.
 #![cfg(unix)]
 
@@ -238,10 +238,20 @@ fn a_tunnel_that_does_not_answer_is_a_bus_fault() {
 
 #[test]
 #[ignore = "needs the images and the emulator: tests/run provides both"]
-fn the_real_image_starts_and_says_that_its_bus_is_empty() {
+fn the_image_of_the_feather_starts_and_says_that_its_bus_is_empty() {
+    starts_and_says_that_its_bus_is_empty("ftcal-feather-stm32f405.elf");
+}
+
+#[test]
+#[ignore = "needs the images and the emulator: tests/run provides both"]
+fn the_image_of_the_olimex_board_starts_and_says_that_its_bus_is_empty() {
+    starts_and_says_that_its_bus_is_empty("ftcal-olimex-stm32-h405.elf");
+}
+
+fn starts_and_says_that_its_bus_is_empty(name: &str) {
     let _alone = alone();
     let converter = bench_of(&wrist());
-    let emulator = Emulator::start(&image("ftcal-stm32f405.elf"), converter, Pace::AsHandled).unwrap();
+    let emulator = Emulator::start(&image(name), converter, Pace::AsHandled).unwrap();
     let mut client = connect(&emulator);
     wait_for(&mut client, AdcState::Faulty(AdcFault::NotResponding));
     assert_eq!(client.status().unwrap().conversions, 0);

@@ -20,8 +20,12 @@ use stm32f4xx_hal::pac::RCC;
 use stm32f4xx_hal::rcc::{Config, HSI, Rcc, RccExt};
 use stm32f4xx_hal::time::Hertz;
 
-/// Frequency of the crystal.
-pub(crate) const CRYSTAL_HERTZ: u32 = 8_000_000;
+use super::wiring::CRYSTAL_HERTZ;
+
+const _: () = assert!(
+    4_000_000 <= CRYSTAL_HERTZ && CRYSTAL_HERTZ <= 26_000_000,
+    "the processor takes crystals of 4 to 26 MHz"
+);
 
 /// The fastest that the chip allows.
 const PROCESSOR_HERTZ: u32 = 168_000_000;
@@ -32,7 +36,7 @@ const CRYSTAL_START_MICROS: u32 = 100_000;
 /// How long the PLL may take: 300 µs at most, by the data sheet.
 const PLL_LOCK_MICROS: u32 = 1_000;
 
-/// The PLL's input, in the range of 1 to 2 MHz that it takes.
+/// The most at the PLL's input; it takes 1 to 2 MHz.
 const PLL_INPUT_HERTZ: u32 = 2_000_000;
 
 /// Sets the clocks up, and says where they come from.
@@ -61,8 +65,8 @@ fn crystal_starts(rcc: &RCC, systick: &mut SYST) -> bool {
 /// Leaves the PLL off, for it to be set up and started by the HAL.
 fn pll_locks(rcc: &RCC, systick: &mut SYST, from_crystal: bool) -> bool {
     let source_hertz = if from_crystal { CRYSTAL_HERTZ } else { HSI };
-    #[expect(clippy::cast_possible_truncation, reason = "four or eight")]
-    let divisor = (source_hertz / PLL_INPUT_HERTZ) as u8;
+    #[expect(clippy::cast_possible_truncation, reason = "13 at most")]
+    let divisor = source_hertz.div_ceil(PLL_INPUT_HERTZ) as u8;
     #[expect(unsafe_code, reason = "the register takes divisors from 2 to 63, which its type does not say")]
     rcc.pllcfgr().modify(|_, w| {
         // The other fields keep their reset values: the oscillator runs at the input times 192, within its range.

@@ -1,4 +1,4 @@
-//! The host link, byte by byte: USART2 with a queue in either direction.
+//! The host link, byte by byte: USART3 with a queue in either direction.
 //!
 //! The interrupt does nothing but move bytes between the line and the queues ([`Link::serve`]); it is the most urgent
 //! of all, for the line keeps a single byte and the next is there 11 µs later. What the bytes mean is the business of a task
@@ -17,8 +17,9 @@ use ftcal_firmware::baud::{DEFAULT_BAUD, Divisor, divisor};
 use ftcal_shared::wire::ToHost;
 use ftcal_shared::wire::frame::{FrameBytes, encode};
 use heapless::spsc::{Consumer, Producer};
-use stm32f4xx_hal::gpio::{PA2, PA3};
-use stm32f4xx_hal::pac::USART2;
+use stm32f4xx_hal::gpio::PushPull;
+use stm32f4xx_hal::gpio::alt::usart3;
+use stm32f4xx_hal::pac::USART3;
 use stm32f4xx_hal::rcc::Rcc;
 use stm32f4xx_hal::serial::config::Config;
 use stm32f4xx_hal::serial::{Rx, RxListen, SerialExt, Tx, TxListen};
@@ -35,10 +36,16 @@ pub(crate) struct LinkQueues {
     pub(crate) to_send: Consumer<'static, u8>,
 }
 
+/// The line's two wires.
+pub(crate) struct Pins {
+    pub(crate) tx: usart3::Tx<PushPull>,
+    pub(crate) rx: usart3::Rx<PushPull>,
+}
+
 /// The line's end of the link.
 pub(crate) struct Link {
-    rx: Rx<USART2>,
-    tx: Tx<USART2>,
+    rx: Rx<USART3>,
+    tx: Tx<USART3>,
     queues: LinkQueues,
 }
 
@@ -52,9 +59,9 @@ pub(crate) struct Served {
 }
 
 impl Link {
-    pub(super) fn new(usart: USART2, tx: PA2, rx: PA3, queues: LinkQueues, rcc: &mut Rcc) -> Self {
+    pub(super) fn new(usart: USART3, pins: Pins, queues: LinkQueues, rcc: &mut Rcc) -> Self {
         let config = Config::default().baudrate(Bps(DEFAULT_BAUD));
-        let Ok(serial) = usart.serial((tx, rx), config, rcc) else {
+        let Ok(serial) = usart.serial((pins.tx, pins.rx), config, rcc) else {
             unreachable!("the baud rate is below an eighth of either bus clock");
         };
         let (tx, mut rx) = serial.split();
@@ -87,7 +94,7 @@ fn change_rate() -> bool {
         return false;
     }
     // SAFETY: this is the only place where the USART's registers are written, beside those of `Link`, which calls it.
-    let usart = unsafe { &*USART2::ptr() };
+    let usart = unsafe { &*USART3::ptr() };
     if usart.sr().read().tc().bit_is_clear() {
         return false;
     }

@@ -1,28 +1,24 @@
 //! The board: an STM32F405 and what is wired to it. All registers, all pins and all `unsafe` code are here.
 //!
-//! | pin | function | goes to |
-//! |---|---|---|
-//! | PA2 | USART2 TX, 921600 baud until told otherwise, 8N1 | host: RX of a USB serial adapter, 3.3 V |
-//! | PA3 | USART2 RX | host: TX |
-//! | PB13 | SPI2 SCK, mode 1, 21 MHz | ADS131M08 SCLK |
-//! | PB14 | SPI2 MISO | ADS131M08 DOUT |
-//! | PB15 | SPI2 MOSI | ADS131M08 DIN |
-//! | PB9 | chip select, active low | ADS131M08 C̅S̅ |
-//! | PB8 | EXTI line 8, falling edge | ADS131M08 D̅R̅D̅Y̅ |
-//! | PB10, PB11 | USART3 TX, RX: the tunnel, in the emulated image only | host end of the tunnel |
-//! | PH0, PH1 | crystal, [`clocks::CRYSTAL_HERTZ`] | |
+//! | signal | |
+//! |---|---|
+//! | host link | USART3, 921600 baud until told otherwise, 8N1 |
+//! | converter's bus | SPI2, mode 1, 21 MHz, with a chip select, active low |
+//! | converter's data-ready | EXTI line 5 to 9, falling edge |
+//! | the tunnel, in the emulated image instead of these two | USART2 |
 //!
-//! The converter's SYNC/RESET is tied high. Only peripherals of the slower bus, APB1, are in use: the emulator has no others
-//! that work. All of the above is free on an Olimex STM32-H405, whose crystal this image expects. An Adafruit Feather
-//! STM32F405 has another crystal and does not bring out PA2 and PA3.
+//! Which pins these are on a board is in [`wiring`]. The converter's SYNC/RESET is tied high. Only peripherals of the slower bus,
+//! APB1, are in use: the emulator has no others that work.
 //!
 //! | module | holds |
 //! |---|---|
+//! | [`wiring`] | the board's crystal and pins: the one file to write for another board |
 //! | [`clocks`] | 168 MHz from the crystal, or a fall-back that is told |
 //! | [`time_base`] | microseconds since the start |
 //! | [`link`] | bytes from and to the host |
 //! | `carrier` | the converter's bus and data-ready line |
-//! | `flash` | the sectors after the image; this file and the one before are the only ones in which the emulated image differs |
+//! | `flash` | the sectors after the image; this file, the one before and its wiring are all in which the emulated image differs |
+//! | [`panel`] | button and light |
 //! | [`failure`] | what happens after a panic or a fault of the processor |
 //! | [`reset`] | what the last reset came from |
 //! | [`stack`] | how much of the stack is in use, and what happens where it is too small |
@@ -31,10 +27,12 @@
 pub(crate) mod clocks;
 mod failure;
 pub(crate) mod link;
+pub(crate) mod panel;
 mod reset;
 mod stack;
 pub(crate) mod time_base;
 pub(crate) mod watchdog;
+pub(crate) mod wiring;
 
 /// The converter's bus and data-ready line.
 #[cfg_attr(feature = "emulated", path = "tunnel_carrier.rs")]
@@ -57,6 +55,7 @@ use stm32f4xx_hal::pac::Peripherals;
 use stm32f4xx_hal::rcc::Rcc;
 
 use link::{Link, LinkQueues};
+use panel::Panel;
 use watchdog::Watchdog;
 
 /// Ticks a second: enough to miss a silent converter within 10 ms. In the emulator they come more often than that anyway.
@@ -76,6 +75,8 @@ pub(crate) struct Board {
     pub(crate) data_ready: DataReady,
     /// The sectors after the image. The emulated one is silent until interrupts are on.
     pub(crate) flash: Flash,
+    /// Button and light.
+    pub(crate) panel: Panel,
     /// Running already.
     pub(crate) watchdog: Watchdog,
     /// Why the board has started.
@@ -108,15 +109,15 @@ pub(crate) fn set_up(device: Peripherals, mut systick: SYST, queues: LinkQueues)
     let watchdog = Watchdog::start(device.IWDG);
     let (mut rcc, clock) = clocks::start(device.RCC, &mut systick);
     time_base::start(device.TIM2, carrier::timer_clock(&rcc.clocks), &mut rcc);
-    let gpioa = device.GPIOA.split(&mut rcc);
-    let gpiob = device.GPIOB.split(&mut rcc);
-    let link = Link::new(device.USART2, gpioa.pa2, gpioa.pa3, queues, &mut rcc);
+    let (a, b) = (device.GPIOA.split(&mut rcc), device.GPIOB.split(&mut rcc));
+    let pins = wiring::pins(a, b, device.GPIOC.split(&mut rcc));
+    let link = Link::new(device.USART3, pins.link, queues, &mut rcc);
     let (converter, data_ready) =
-        carrier::connect(device.SPI2, device.USART3, gpiob, device.EXTI, device.SYSCFG, &mut rcc);
+        carrier::connect(device.SPI2, device.USART2, pins.converter, device.EXTI, device.SYSCFG, &mut rcc);
     start_ticking(systick, &rcc);
     let link_clock_hertz = rcc.clocks.pclk1().raw();
     let flash = Flash::new(device.FLASH);
-    Board { clock, link, link_clock_hertz, converter, data_ready, flash, watchdog, start }
+    Board { clock, link, link_clock_hertz, converter, data_ready, flash, panel: pins.panel, watchdog, start }
 }
 
 /// An interrupt every 2 ms. (The emulator's processor clock is not the one that [`clocks`] finds, so there it comes ten times as

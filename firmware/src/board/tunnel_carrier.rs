@@ -1,4 +1,4 @@
-//! The converter behind the tunnel: USART3 instead of SPI2, for an emulator that has no converter. For the protocol see
+//! The converter behind the tunnel: USART2 instead of SPI2, for an emulator that has no converter. For the protocol see
 //! [`ftcal_firmware::tunnel`].
 //!
 //! The serial interrupt puts bytes together to messages, and raises the interrupt that the data-ready pin would raise. The
@@ -17,8 +17,9 @@ use ftcal_firmware::tunnel::{
 };
 use ftcal_shared::units::DeviceTime;
 use ftcal_shared::wire::frame::{Decoder, encode};
-use stm32f4xx_hal::gpio::gpiob::Parts;
-use stm32f4xx_hal::pac::{EXTI, Interrupt, SPI2, SYSCFG, USART3, interrupt};
+use stm32f4xx_hal::gpio::PushPull;
+use stm32f4xx_hal::gpio::alt::usart2;
+use stm32f4xx_hal::pac::{EXTI, Interrupt, SPI2, SYSCFG, USART2, interrupt};
 use stm32f4xx_hal::rcc::{Clocks, Rcc};
 use stm32f4xx_hal::serial::config::Config;
 use stm32f4xx_hal::serial::{Rx, RxListen, SerialExt, Tx};
@@ -36,13 +37,19 @@ const LOOKS: u32 = 1000;
 static LINE: Mutex<RefCell<Option<Line>>> = Mutex::new(RefCell::new(None));
 
 struct Line {
-    tx: Tx<USART3>,
-    rx: Rx<USART3>,
+    tx: Tx<USART2>,
+    rx: Rx<USART2>,
     decoder: Decoder,
     answer: Option<Transfer>,
     flash_answer: Option<FlashAnswer>,
     /// When the data-ready line fell, as long as it stands low.
     announced: Option<DeviceTime>,
+}
+
+/// The tunnel's two wires.
+pub(crate) struct Pins {
+    pub(crate) tx: usart2::Tx<PushPull>,
+    pub(crate) rx: usart2::Rx<PushPull>,
 }
 
 /// The converter's bus.
@@ -158,14 +165,14 @@ pub(super) fn timer_clock(_clocks: &Clocks) -> Hertz {
 /// Connects the tunnel. (The bus and the pin's interrupt are the other carrier's.)
 pub(super) fn connect(
     _spi: SPI2,
-    usart: USART3,
-    pins: Parts,
+    usart: USART2,
+    pins: Pins,
     _exti: EXTI,
     _syscfg: SYSCFG,
     rcc: &mut Rcc,
 ) -> (Converter, DataReady) {
     let config = Config::default().baudrate(Bps(BAUD));
-    let Ok(serial) = usart.serial((pins.pb10, pins.pb11), config, rcc) else {
+    let Ok(serial) = usart.serial((pins.tx, pins.rx), config, rcc) else {
         unreachable!("the baud rate is below an eighth of either bus clock");
     };
     let (tx, mut rx) = serial.split();
@@ -184,7 +191,7 @@ pub(super) fn connect(
 fn listen_to_interrupt() {
     // SAFETY: the handler shares nothing with RTIC's tasks but what is behind a critical section. Its priority is the
     // highest, at which it was since the reset.
-    unsafe { NVIC::unmask(Interrupt::USART3) };
+    unsafe { NVIC::unmask(Interrupt::USART2) };
 }
 
 fn with_line<T>(act: impl FnOnce(&mut Line) -> T) -> Option<T> {
@@ -192,7 +199,7 @@ fn with_line<T>(act: impl FnOnce(&mut Line) -> T) -> Option<T> {
 }
 
 #[interrupt]
-fn USART3() {
+fn USART2() {
     with_line(|line| {
         let Ok(byte) = line.rx.read() else { return };
         match line.decoder.push::<FromConverter>(byte) {

@@ -67,7 +67,8 @@ pub(super) fn explained(error: FlashError) -> Failure {
     let remedy = match &error {
         FlashError::Image(ImageError::Unreadable { .. }) => "Check the path.",
         FlashError::Image(_) => {
-            "Build the image with `cargo build -p ftcal-firmware --target thumbv7em-none-eabihf --profile firmware`."
+            "Build the image with `cargo build -p ftcal-firmware --target thumbv7em-none-eabihf --profile firmware --features \
+             BOARD`; firmware/README.md names the boards."
         }
         FlashError::NoProbe { .. } => {
             "Connect a debug probe (ST-Link, CMSIS-DAP, J-Link) to this machine and to the board; on Linux, install the \

@@ -1,9 +1,9 @@
 //! The firmware's image in QEMU, with a converter from the simulator.
 //!
 //! ```text
-//! any program ──pseudo-terminal──► USART2 ┐
+//! any program ──pseudo-terminal──► USART3 ┐
 //!                                         ├─ emulated image in qemu-system-arm
-//! converter, flash ───tunnel─────► USART3 ┘
+//! converter, flash ───tunnel─────► USART2 ┘
 //! ```
 //!
 //! The machine is `netduinoplus2`, which has the STM32F405. The host link is a pseudo-terminal, of which QEMU chooses the
@@ -116,7 +116,7 @@ impl Emulator {
                 .args(["-chardev", &log_device(logs)])
                 .args(["-semihosting-config", "enable=on,target=native,chardev=logs"])
                 .args(["-chardev", "socket,id=tunnel,fd=0"])
-                .args(["-serial", "null", "-serial", "pty", "-serial", "chardev:tunnel"])
+                .args(["-serial", "null", "-serial", "chardev:tunnel", "-serial", "pty"])
                 .stdin(OwnedFd::from(board_end))
                 .stdout(told.try_clone()?)
                 .stderr(told);
@@ -185,7 +185,7 @@ mod tests {
 
     #[test]
     fn the_link_is_what_qemu_says_it_is() {
-        let words = "a warning\nchar device redirected to /dev/pts/7 (label serial1)\n";
+        let words = "a warning\nchar device redirected to /dev/pts/7 (label serial2)\n";
         assert_eq!(link_path(words.as_bytes()).unwrap(), PathBuf::from("/dev/pts/7"));
     }
 
