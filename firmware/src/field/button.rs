@@ -51,6 +51,11 @@ impl Button {
         Self { is_closed: true, since: DeviceTime::from_micros(0), held: Held::Told }
     }
 
+    /// Whether it is being pressed, and nothing was told of that yet.
+    pub const fn is_down(&self) -> bool {
+        matches!(self.held, Held::Since(_))
+    }
+
     /// Looks at the contact, which is to be done every few milliseconds; what has been done with the button.
     pub fn look(&mut self, now: DeviceTime, is_closed: bool) -> Option<Press> {
         if self.is_closed != is_closed {

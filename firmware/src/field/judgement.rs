@@ -3,7 +3,7 @@
 //! | the trial | is |
 //! |---|---|
 //! | of a gage that has moved by more than [`LARGEST_DRIFT`] | refused: no drift does that |
-//! | of gages and a bias that are where they were, within [`MOVED`] standard deviations | a confirmation: nothing is changed |
+//! | of gages and a bias that are where they were, within three standard deviations | a confirmation: nothing is changed |
 //! | of a bias that has moved | a new bias, beside the matrix that there was |
 //! | of gages that have moved | a new calibration |
 //!
@@ -22,17 +22,16 @@ use ftcal_shared::estimation::reorientation::{
     MAX_RANK, MODEL_ERROR, NoOrientation, Oriented, Rows, Unoriented, dual, orient,
 };
 use ftcal_shared::wire::{
-    CalibrationOrigin, CalibrationUpload, Coverage, FieldComparison, FieldRefusal, GageList, Renewed,
-    Solution,
+    CalibrationOrigin, CalibrationUpload, Coverage, FieldComparison, FieldRefusal, Renewed, Solution,
 };
 
 use crate::storage::items::StoredCalibration;
 
 /// The largest change of the answer of a gage, relative to it, that is a drift.
-pub const LARGEST_DRIFT: f64 = 0.02;
+pub const LARGEST_DRIFT: f32 = 0.02;
 
 /// Standard deviations that are no chance.
-const MOVED: f64 = 3.0;
+const MOVED: f32 = 3.0;
 
 /// What comes of it.
 #[derive(Clone, Debug, PartialEq)]
@@ -61,41 +60,47 @@ pub fn judge<const GAGES: usize>(
     if rank != usize::from(solution.rank) || !bias_fits {
         return Err(FieldRefusal::UnusableNumbers);
     }
-    let matrix = rows::<GAGES>(rank, old.matrix.iter().map(|&element| f64::from(element)))?;
+    let sizes = [
+        old.matrix.len(),
+        solution.shape_counts_per_load.len(),
+        coverage.shape_deviation_counts_per_load.len(),
+    ];
+    if rank > MAX_RANK || sizes != [rank * GAGES; 3] {
+        return Err(FieldRefusal::UnusableNumbers);
+    }
+    let matrix = rows::<GAGES>(&|element| old.matrix.get(element).copied());
     let known = dual(rank, &matrix).ok_or(FieldRefusal::UnusableNumbers)?;
-    let shape = rows::<GAGES>(rank, solution.shape_counts_per_load.iter().copied())?;
-    let deviations = coverage.shape_deviation_counts_per_load.iter();
-    let deviations = rows::<GAGES>(rank, deviations.map(|&deviation| f64::from(deviation)))?;
-    let deviation =
-        core::array::from_fn(|gage| libm::sqrt(deviations.iter().map(|row| row[gage] * row[gage]).sum()));
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "single precision is enough for parts in ten thousand"
+    )]
+    let shape =
+        rows::<GAGES>(&|element| solution.shape_counts_per_load.get(element).map(|&answer| answer as f32));
+    let deviations = rows::<GAGES>(&|element| coverage.shape_deviation_counts_per_load.get(element).copied());
+    let deviation = core::array::from_fn(|gage| column_length(&deviations, gage));
     let trial = Unoriented { rank, shape: &shape, deviation: &deviation };
     let oriented = orient(&trial, &known).map_err(|cause| match cause {
         NoOrientation::Degenerate => FieldRefusal::UnusableNumbers,
         NoOrientation::EitherHand => FieldRefusal::EitherHand,
     })?;
 
-    let (gage, drift) = largest(&oriented.drift);
-    #[expect(clippy::cast_possible_truncation, reason = "a report of seven digits")]
-    let (drift_told, limit) = (drift as f32, LARGEST_DRIFT as f32);
-    let is_drift = drift <= LARGEST_DRIFT;
-    if !is_drift {
-        return Err(FieldRefusal::Drifted { gage, drift: drift_told, limit });
+    let Oriented { drift, gage, .. } = oriented;
+    if drift > LARGEST_DRIFT {
+        return Err(FieldRefusal::Drifted { gage, drift, limit: LARGEST_DRIFT });
     }
     let shift = BiasShift::new(old, solution, coverage, &matrix, &oriented);
     if !shift.newton.is_finite() {
         return Err(FieldRefusal::UnusableNumbers);
     }
-    #[expect(clippy::cast_possible_truncation, reason = "a report of seven digits")]
     let found = FieldComparison {
         reference: old.identity,
         relative_uncertainty: coverage.worst_relative_uncertainty,
-        drift: drift_told,
+        drift,
         gage,
-        bias_shift_newton: shift.newton as f32,
-        load_newton: oriented.load_newton as f32,
+        bias_shift_newton: shift.newton,
+        load_newton: oriented.load_newton,
     };
-    let (_, in_deviations) = largest(&oriented.drift_deviations);
-    let renewed = match (in_deviations > MOVED, shift.has_moved) {
+    let renewed = match (oriented.drift_deviations > MOVED, shift.has_moved) {
         (true, _) => Renewed::ShapeAndBias,
         (false, true) => Renewed::Bias,
         (false, false) => return Ok(Judgement::Confirmed(found)),
@@ -103,9 +108,8 @@ pub fn judge<const GAGES: usize>(
     let mut upload = CalibrationUpload { bias_counts: solution.bias_counts.clone(), ..old.clone() };
     if renewed == Renewed::ShapeAndBias {
         let matrix = dual(rank, &oriented.shape).ok_or(FieldRefusal::UnusableNumbers)?;
-        #[expect(clippy::cast_possible_truncation, reason = "rounded to what the sample path holds")]
-        for (new, exact) in upload.matrix.iter_mut().zip(matrix.iter().flatten()) {
-            *new = *exact as f32;
+        for (new, exact) in upload.matrix.iter_mut().zip(matrix.as_flattened()) {
+            *new = *exact;
         }
     }
     upload.identity = upload.identity_of_numbers();
@@ -117,7 +121,7 @@ pub fn judge<const GAGES: usize>(
 
 /// How far the codes with no load have moved.
 struct BiasShift {
-    newton: f64,
+    newton: f32,
     has_moved: bool,
 }
 
@@ -129,48 +133,33 @@ impl BiasShift {
         matrix: &Rows<GAGES>,
         oriented: &Oriented<GAGES>,
     ) -> Self {
-        let mut force = [0.0; MAX_RANK];
+        let mut force = [[0.0]; MAX_RANK];
         let mut has_moved = false;
-        for gage in 0..GAGES {
-            let at = |list: &GageList<f64>| list.get(gage).copied().unwrap_or_default();
-            let shift = at(&solution.bias_counts) - at(&old.bias_counts);
-            let deviation = f64::from(coverage.bias_deviation_counts.get(gage).copied().unwrap_or_default());
-            let answer = oriented.shape.iter().map(|row| row[gage] * row[gage]).sum::<f64>();
-            let of_model = MODEL_ERROR * oriented.load_newton * libm::sqrt(answer);
-            has_moved |= shift.abs() > MOVED * libm::hypot(deviation, of_model);
+        let each = old.bias_counts.iter().zip(&solution.bias_counts).zip(&coverage.bias_deviation_counts);
+        for (gage, ((old, new), deviation)) in each.enumerate().take(GAGES) {
+            #[expect(clippy::cast_possible_truncation, reason = "a difference to seven digits")]
+            let shift = (new - old) as f32;
+            let of_model = MODEL_ERROR * oriented.load_newton * column_length(&oriented.shape, gage);
+            has_moved |= shift.abs() > MOVED * libm::sqrtf(deviation * deviation + of_model * of_model);
             for (component, row) in force.iter_mut().zip(matrix) {
-                *component += row[gage] * shift;
+                component[0] += row[gage] * shift;
             }
         }
-        Self { newton: libm::sqrt(force.iter().map(|component| component * component).sum()), has_moved }
+        Self { newton: column_length(&force, 0), has_moved }
     }
 }
 
-/// Row by row into rows.
-fn rows<const GAGES: usize>(
-    rank: usize,
-    elements: impl ExactSizeIterator<Item = f64>,
-) -> Result<Rows<GAGES>, FieldRefusal> {
+fn column_length<const GAGES: usize>(rows: &Rows<GAGES>, gage: usize) -> f32 {
+    libm::sqrtf(rows.iter().map(|row| row[gage] * row[gage]).sum())
+}
+
+/// Elements row by row into rows; there are none beyond the rank.
+fn rows<const GAGES: usize>(element: &dyn Fn(usize) -> Option<f32>) -> Rows<GAGES> {
     let mut rows = [[0.0; GAGES]; MAX_RANK];
-    if rank > MAX_RANK || elements.len() != rank * GAGES {
-        return Err(FieldRefusal::UnusableNumbers);
+    for (number, place) in rows.as_flattened_mut().iter_mut().enumerate() {
+        *place = element(number).unwrap_or_default();
     }
-    for (place, element) in rows.iter_mut().flatten().zip(elements) {
-        *place = element;
-    }
-    Ok(rows)
-}
-
-/// The largest of them, and whose it is; not a number is larger than any.
-fn largest<const GAGES: usize>(values: &[f64; GAGES]) -> (u8, f64) {
-    let mut largest = (0, 0.0);
-    for (gage, &value) in (0..).zip(values) {
-        let is_smaller = value <= largest.1;
-        if !is_smaller {
-            largest = (gage, value);
-        }
-    }
-    largest
+    rows
 }
 
 #[cfg(test)]

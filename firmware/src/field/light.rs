@@ -13,6 +13,8 @@
 //! | `################` | on | the sensor has moved: a new calibration is in use, and kept |
 //! | `#####.#.########` | on, with two gaps | the sensor has not moved: it keeps the calibration that it has |
 //! | `#.#.#.#.#.#.#.#.` | flickers without a pause | refused: it keeps the calibration that it has; `ftcal info` says why |
+//!
+//! While nothing is going on, it is on as well as long as the button is pressed, until the press is a long one.
 
 use ftcal_shared::units::DeviceTime;
 

@@ -183,7 +183,13 @@ impl Field {
         self.is_shown = false;
     }
 
-    pub(crate) const fn light(&self) -> Light {
+    /// Whether the light is to be on.
+    pub(crate) const fn is_lit(&self, now: DeviceTime) -> bool {
+        let is_answering = matches!(self.step, Step::Idle) && self.button.is_down();
+        is_answering || self.light().is_on(now)
+    }
+
+    const fn light(&self) -> Light {
         match (&self.step, &self.last) {
             (Step::Running { quarters, .. }, _) => Light::Running { quarters: *quarters },
             (Step::Preparing { .. } | Step::Solving { .. } | Step::Storing(_), _) => Light::Working,

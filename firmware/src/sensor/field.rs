@@ -42,7 +42,7 @@ where
             }
             (_, Step::Preparing { .. } | Step::Running { .. } | Step::Solving { .. } | Step::Storing(_)) => {}
         }
-        self.field.light().is_on(now)
+        self.field.is_lit(now)
     }
 
     /// What is to be done now in the background, if anything.
@@ -192,28 +192,22 @@ where
             return None;
         }
         self.storing = true;
-        Some(FieldTask::Store(StoreJob::Calibration(calibration.clone())))
+        Some(FieldTask::Store(StoreJob::Renewal(calibration.clone())))
     }
 
     /// Takes up what the memory says: there is room for the trial, or the new calibration is kept.
     fn field_stored(&mut self, stored: Stored, now: DeviceTime) {
-        let served = match stored {
-            Stored::Kept(kept) => {
-                self.storing = false;
-                self.take_up(kept, true).map(|()| Response::Done)
-            }
-            stored => match self.finish_storing(stored) {
-                Response::Rejected(rejection) => Err(rejection),
-                response => Ok(response),
-            },
+        let served = match self.finish_storing(stored) {
+            Response::Rejected(rejection) => Err(rejection),
+            _ => Ok(()),
         };
         match (&self.field.step, served) {
-            (&Step::Preparing { reference }, Ok(_)) => {
+            (&Step::Preparing { reference }, Ok(())) => {
                 self.trial.note_button();
                 self.field.step = running(reference, now);
             }
             (Step::Preparing { .. }, Err(rejection)) => self.refuse_field(FieldRefusal::Busy(rejection)),
-            (Step::Storing(StoredCalibration { origin, .. }), Ok(_)) => {
+            (Step::Storing(StoredCalibration { origin, .. }), Ok(())) => {
                 if let &CalibrationOrigin::Field(renewed, found) = origin {
                     self.field.end(FieldOutcome::Renewed(renewed, found));
                 }

@@ -86,7 +86,7 @@ where
         self.storing = false;
         let served = match stored {
             Stored::Kept(kept) => self.take_up(kept, false).map(|()| Response::Done),
-            Stored::RolledBack(kept) => self.take_up(kept, true).map(|()| self.calibration_response()),
+            Stored::Replaced(kept) => self.take_up(kept, true).map(|()| self.calibration_response()),
             Stored::Prepared { rank } => self.trial.start(rank, self.settings()).map(|()| Response::Done),
             Stored::Failed(error) => Err(error.into()),
         };
@@ -99,7 +99,7 @@ where
     }
 
     /// Notes what is kept; and uses it, if so wanted.
-    pub(super) fn take_up(&mut self, kept: Kept, use_it: bool) -> Result<(), Rejection> {
+    fn take_up(&mut self, kept: Kept, use_it: bool) -> Result<(), Rejection> {
         let Kept { calibration, calibrations, identity, .. } = kept;
         self.kept = calibrations;
         self.identity = identity;

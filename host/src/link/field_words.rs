@@ -119,7 +119,11 @@ fn explained(refusal: &FieldRefusal) -> (&'static str, String, &'static str) {
                 percent(*quarters),
                 percent(*need)
             );
-            return ("unfinished", cause, "Turn the load until the light flashes four times, or until it shows a result.");
+            return (
+                "unfinished",
+                cause,
+                "Turn the load until the light flashes four times, or until it shows a result.",
+            );
         }
         FieldRefusal::UnusableNumbers => (
             "unusable-numbers",

@@ -18,41 +18,43 @@
 //! **What cannot be told.** All gages together answering more or less to a newton: it goes into s. A change that acts like a turn of
 //! the sensor: it goes into R. What is renewed are the ratios between the gages' answers.
 //!
-//! **Handedness.** R may be a mirror image, as the trial's own frame may be. The best R of the other hand leaves the squared misfit
-//! Σ w‖s₀‖² − (tr Σ − 2σ_r)²/Σ w‖ŝ‖²; unless that is worse by far, there is no answer. It is not where the gages' answers
+//! **Handedness.** R may be a mirror image, as the trial's own frame may be. The best R of the other hand leaves a squared misfit that is
+//! larger by 4σ_r(tr Σ − σ_r)/Σ w‖ŝ‖²; unless that is worse by far, there is no answer. It is not where the gages' answers
 //! hardly span r directions.
+//!
+//! All in single precision, of shapes brought to length one: what is asked for are parts in ten thousand.
 
-use libm::{hypot, sqrt};
+use libm::sqrtf;
 
 /// The largest proper rank of a trial.
 pub const MAX_RANK: usize = 3;
 
 /// r rows of p; those beyond the rank are zero.
-pub type Rows<const GAGES: usize> = [[f64; GAGES]; MAX_RANK];
+pub type Rows<const GAGES: usize> = [[f32; GAGES]; MAX_RANK];
 
-type Square = [[f64; MAX_RANK]; MAX_RANK];
+type Square = [[f32; MAX_RANK]; MAX_RANK];
 
 /// How much of a gage's answer no linear shape explains, relative: three times what a real sensor shows at rest (design § 5).
-pub const MODEL_ERROR: f64 = 3e-4;
+pub const MODEL_ERROR: f32 = 3e-4;
 
 /// Standard deviations from which on a gage pulls no stronger.
-const PULL: f64 = 2.0;
+const PULL: f32 = 2.0;
 
 /// A gage that answers less than this share of what the gages answer in the mean is held against that share.
-const LEAST_ANSWER: f64 = 0.1;
+const LEAST_ANSWER: f32 = 0.1;
 
 /// How many times worse the other hand must fit, and by how many standard deviations.
-const HAND_MARGIN: f64 = 3.0;
-const HAND_DEVIATIONS: f64 = 5.0;
+const HAND_MARGIN: f32 = 3.0;
+const HAND_DEVIATIONS: f32 = 5.0;
 
 /// Repetitions for the weights. Each leaves of the error that comes of the gages that are off no more than their share in all.
 const ROUNDS: usize = 12;
 
-/// Determinant of a Gram matrix of rows of length one, below which they are not independent.
-const LEAST_DETERMINANT: f64 = 1e-9;
+/// The least part of a row that is independent of those before it.
+const LEAST_REST: f32 = 1e-3;
 
-/// Columns are orthogonal when the cosine between them is rounding. Convergence is quadratic: three columns take some five sweeps.
-const LARGEST_COSINE: f64 = 4.0 * f64::EPSILON;
+/// Columns are orthogonal when the cosine between them is rounding. Convergence is quadratic: three columns take some four sweeps.
+const LARGEST_COSINE: f32 = 4.0 * f32::EPSILON;
 const MOST_SWEEPS: usize = 30;
 
 /// What a trial tells of the shape.
@@ -63,7 +65,7 @@ pub struct Unoriented<'a, const GAGES: usize> {
     /// Ŝ, counts per unit load.
     pub shape: &'a Rows<GAGES>,
     /// Standard deviation of each of its columns as a vector, counts per unit load.
-    pub deviation: &'a [f64; GAGES],
+    pub deviation: &'a [f32; GAGES],
 }
 
 /// The same in the frame of the calibration that there is.
@@ -72,11 +74,13 @@ pub struct Oriented<const GAGES: usize> {
     /// s R Ŝ, counts per newton.
     pub shape: Rows<GAGES>,
     /// 1/s: the magnitude of the trial's load by the calibration that there is, newton.
-    pub load_newton: f64,
-    /// By how much the answer of each gage has changed, relative to it.
-    pub drift: [f64; GAGES],
-    /// The same in standard deviations.
-    pub drift_deviations: [f64; GAGES],
+    pub load_newton: f32,
+    /// The largest change of the answer of a gage, relative to it.
+    pub drift: f32,
+    /// The gage that has changed so.
+    pub gage: u8,
+    /// The largest change of the answer of a gage, in standard deviations.
+    pub drift_deviations: f32,
 }
 
 /// Why there is no orientation.
@@ -98,87 +102,95 @@ pub fn orient<const GAGES: usize>(
     trial: &Unoriented<'_, GAGES>,
     known: &Rows<GAGES>,
 ) -> Result<Oriented<GAGES>, NoOrientation> {
-    let answers: [f64; GAGES] = core::array::from_fn(|gage| column_length(known, gage));
-    let (size, own_size) = (root_of_squares(&answers), total_length(trial.shape));
-    let least_answer = LEAST_ANSWER * size / sqrt(GAGES as f64);
-    let answers = answers.map(|answer| answer.max(least_answer));
-    let tolerances: [f64; GAGES] = core::array::from_fn(|gage| {
-        hypot(trial.deviation[gage] * size / own_size, MODEL_ERROR * answers[gage])
-    });
+    let (size, own_size) = (length(known.as_flattened()), length(trial.shape.as_flattened()));
+    let (mut known, mut own) = (*known, *trial.shape);
+    scale(&mut known, 1.0 / size);
+    scale(&mut own, 1.0 / own_size);
+    let mut answers = [0.0; GAGES];
+    let mut tolerances = [0.0; GAGES];
+    for gage in 0..GAGES {
+        let answer = length(&known.map(|row| row[gage]));
+        answers[gage] = answer.max(LEAST_ANSWER / sqrtf(GAGES as f32));
+        tolerances[gage] = length(&[trial.deviation[gage] / own_size, MODEL_ERROR * answers[gage]]);
+    }
+
     let mut off = [0.0; GAGES];
-    let mut fit = Fit { scale: 0.0, turn: [[0.0; MAX_RANK]; MAX_RANK], misfit: 0.0, other_hand: 0.0 };
-    let mut shape = *known;
+    let mut turned = known;
+    let mut fit = Fit::default();
     for _ in 0..ROUNDS {
-        let weights = core::array::from_fn(|gage| {
+        let mut weights = [0.0; GAGES];
+        for gage in 0..GAGES {
             let pull = (PULL * tolerances[gage] / off[gage]).min(1.0);
-            pull / (tolerances[gage] * tolerances[gage])
-        });
-        fit = Fit::new(trial.rank, trial.shape, known, &weights).ok_or(NoOrientation::Degenerate)?;
-        shape = fit.turned(trial.shape);
-        off = core::array::from_fn(|gage| {
-            let difference = |row: usize| shape[row][gage] - known[row][gage];
-            sqrt((0..MAX_RANK).map(|row| difference(row) * difference(row)).sum())
-        });
+            weights[gage] = pull / (tolerances[gage] * tolerances[gage]);
+        }
+        fit = Fit::new(trial.rank, &own, &known, &weights).ok_or(NoOrientation::Degenerate)?;
+        turned = fit.turned(&own);
+        fit.misfit = 0.0;
+        for gage in 0..GAGES {
+            off[gage] =
+                length(&core::array::from_fn::<_, MAX_RANK, _>(|row| turned[row][gage] - known[row][gage]));
+            fit.misfit += weights[gage] * off[gage] * off[gage];
+        }
     }
     // Of squares of standard deviations.
     let margin = (HAND_MARGIN * HAND_MARGIN * fit.misfit).max(HAND_DEVIATIONS * HAND_DEVIATIONS);
-    if fit.other_hand < margin {
+    let is_told_apart = fit.misfit + fit.other_hand >= margin;
+    if !is_told_apart {
         return Err(NoOrientation::EitherHand);
     }
-    Ok(Oriented {
-        shape,
-        load_newton: 1.0 / fit.scale,
-        drift: core::array::from_fn(|gage| off[gage] / answers[gage]),
-        drift_deviations: core::array::from_fn(|gage| off[gage] / tolerances[gage]),
-    })
+    scale(&mut turned, size);
+    let load_newton = own_size / (size * fit.scale);
+    let mut oriented = Oriented { shape: turned, load_newton, drift: 0.0, gage: 0, drift_deviations: 0.0 };
+    for (number, gage) in (0..).zip(0..GAGES) {
+        let drift = off[gage] / answers[gage];
+        if drift > oriented.drift {
+            (oriented.drift, oriented.gage) = (drift, number);
+        }
+        oriented.drift_deviations = oriented.drift_deviations.max(off[gage] / tolerances[gage]);
+    }
+    Ok(oriented)
 }
 
 /// (AAᵀ)⁻¹A of r independent rows: the shape of a calibration matrix, and the calibration matrix of a shape (eq. 5). `None` where
 /// they are not independent, or a number is not finite.
+///
+/// With A = LQ, rows of Q orthonormal, it is L⁻ᵀQ: the condition of A is not squared.
 #[inline(never)]
 pub fn dual<const GAGES: usize>(rank: usize, rows: &Rows<GAGES>) -> Option<Rows<GAGES>> {
-    let mut gram = Square::default();
-    for a in 0..MAX_RANK {
-        for b in 0..MAX_RANK {
-            gram[a][b] = (0..GAGES).map(|gage| rows[a][gage] * rows[b][gage]).sum();
-        }
-    }
-    // What is beyond the rank is the identity.
-    for a in rank..MAX_RANK {
-        gram[a][a] = 1.0;
-    }
-    // Cyclic, the signs of the cofactors are all plus.
-    let cofactor = |a: usize, b: usize| {
-        let (c, d) = ((a + 1) % MAX_RANK, (a + 2) % MAX_RANK);
-        let (e, f) = ((b + 1) % MAX_RANK, (b + 2) % MAX_RANK);
-        gram[c][e] * gram[d][f] - gram[c][f] * gram[d][e]
-    };
-    let determinant: f64 = (0..MAX_RANK).map(|b| gram[0][b] * cofactor(0, b)).sum();
-    let largest = gram[0][0] * gram[1][1] * gram[2][2];
-    let is_independent = determinant.is_finite() && determinant > LEAST_DETERMINANT * largest;
-    if !is_independent {
-        return None;
-    }
-    let mut dual = [[0.0; GAGES]; MAX_RANK];
+    let mut dual = *rows;
+    let mut factor = Square::default();
     for a in 0..rank {
-        for b in 0..rank {
-            let factor = cofactor(a, b) / determinant;
-            for gage in 0..GAGES {
-                dual[a][gage] += factor * rows[b][gage];
-            }
+        let before = length(&dual[a]);
+        for b in 0..a {
+            factor[a][b] = dot(&dual[a], &dual[b]);
+            subtract(&mut dual, a, b, factor[a][b]);
         }
+        let rest = length(&dual[a]);
+        let is_independent = rest.is_finite() && rest > LEAST_REST * before;
+        if !is_independent {
+            return None;
+        }
+        factor[a][a] = rest;
+        dual[a] = dual[a].map(|element| element / rest);
     }
-    dual.iter().flatten().all(|element| element.is_finite()).then_some(dual)
+    for a in (0..rank).rev() {
+        for b in a + 1..rank {
+            subtract(&mut dual, a, b, factor[b][a]);
+        }
+        dual[a] = dual[a].map(|element| element / factor[a][a]);
+    }
+    dual.as_flattened().iter().all(|element| element.is_finite()).then_some(dual)
 }
 
 /// The turn and the scale that bring one shape closest to another.
+#[derive(Default)]
 struct Fit {
-    scale: f64,
+    scale: f32,
     turn: Square,
     /// Σ w ‖s R ŝ − s₀‖².
-    misfit: f64,
-    /// The same with the best R of the other hand.
-    other_hand: f64,
+    misfit: f32,
+    /// By how much more that is with the best R of the other hand.
+    other_hand: f32,
 }
 
 impl Fit {
@@ -186,16 +198,15 @@ impl Fit {
         rank: usize,
         shape: &Rows<GAGES>,
         known: &Rows<GAGES>,
-        weights: &[f64; GAGES],
+        weights: &[f32; GAGES],
     ) -> Option<Self> {
         // Column b of Σ w s₀ŝᵀ.
         let mut columns = Square::default();
-        let (mut own_square, mut known_square) = (0.0, 0.0);
+        let mut own_square = 0.0;
         for gage in 0..GAGES {
             for b in 0..rank {
                 let weighted = weights[gage] * shape[b][gage];
                 own_square += weighted * shape[b][gage];
-                known_square += weights[gage] * known[b][gage] * known[b][gage];
                 for a in 0..rank {
                     columns[b][a] += weighted * known[a][gage];
                 }
@@ -204,9 +215,9 @@ impl Fit {
         let mut turns = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
         orthogonalise(rank, &mut columns, &mut turns);
         let mut turn = Square::default();
-        let (mut trace, mut least) = (0.0, f64::INFINITY);
+        let (mut trace, mut least) = (0.0, f32::INFINITY);
         for (column, along) in columns.iter().zip(&turns).take(rank) {
-            let value = sqrt(dot(column, column));
+            let value = length(column);
             let has_direction = value.is_finite() && value > 0.0;
             if !has_direction {
                 return None;
@@ -219,28 +230,23 @@ impl Fit {
                 }
             }
         }
-        let misfit = |trace: f64| (known_square - trace * trace / own_square).max(0.0);
-        let fit = Self {
-            scale: trace / own_square,
-            turn,
-            misfit: misfit(trace),
-            other_hand: misfit(trace - 2.0 * least),
-        };
-        let is_finite = fit.scale.is_finite() && fit.scale > 0.0 && fit.other_hand.is_finite();
-        is_finite.then_some(fit)
+        let other_hand = 4.0 * least * (trace - least) / own_square;
+        let fit = Self { scale: trace / own_square, turn, misfit: 0.0, other_hand };
+        (fit.scale > 0.0 && other_hand.is_finite()).then_some(fit)
     }
 
     /// s R Ŝ.
     fn turned<const GAGES: usize>(&self, shape: &Rows<GAGES>) -> Rows<GAGES> {
-        self.turn.map(|row| {
-            let mut turned = [0.0; GAGES];
-            for (factor, own) in row.iter().zip(shape) {
+        let mut turned = [[0.0; GAGES]; MAX_RANK];
+        for a in 0..MAX_RANK {
+            for b in 0..MAX_RANK {
+                let factor = self.scale * self.turn[a][b];
                 for gage in 0..GAGES {
-                    turned[gage] += self.scale * factor * own[gage];
+                    turned[a][gage] += factor * shape[b][gage];
                 }
             }
-            turned
-        })
+        }
+        turned
     }
 }
 
@@ -250,17 +256,17 @@ fn orthogonalise(rank: usize, columns: &mut Square, turns: &mut Square) {
         let mut orthogonal = true;
         for p in 0..rank {
             for q in p + 1..rank {
-                let (square_p, square_q) = (dot(&columns[p], &columns[p]), dot(&columns[q], &columns[q]));
+                let (length_p, length_q) = (length(&columns[p]), length(&columns[q]));
                 let product = dot(&columns[p], &columns[q]);
-                if product.abs() <= LARGEST_COSINE * sqrt(square_p) * sqrt(square_q) {
+                if product.abs() <= LARGEST_COSINE * length_p * length_q {
                     continue;
                 }
                 orthogonal = false;
                 // The smaller of the two turns that make the columns orthogonal.
-                let half_difference = (square_q - square_p) / (2.0 * product);
+                let half_difference = (length_q - length_p) * (length_q + length_p) / (2.0 * product);
                 let tangent =
-                    half_difference.signum() / (half_difference.abs() + hypot(half_difference, 1.0));
-                let cosine = 1.0 / hypot(tangent, 1.0);
+                    half_difference.signum() / (half_difference.abs() + length(&[half_difference, 1.0]));
+                let cosine = 1.0 / length(&[tangent, 1.0]);
                 for matrix in [&mut *columns, &mut *turns] {
                     for row in 0..MAX_RANK {
                         let (x, y) = (matrix[p][row], matrix[q][row]);
@@ -276,18 +282,22 @@ fn orthogonalise(rank: usize, columns: &mut Square, turns: &mut Square) {
     }
 }
 
-fn dot(one: &[f64; MAX_RANK], other: &[f64; MAX_RANK]) -> f64 {
+/// Takes a multiple of one row from another.
+fn subtract<const GAGES: usize>(rows: &mut Rows<GAGES>, from: usize, row: usize, factor: f32) {
+    for gage in 0..GAGES {
+        rows[from][gage] -= factor * rows[row][gage];
+    }
+}
+
+fn scale<const GAGES: usize>(rows: &mut Rows<GAGES>, factor: f32) {
+    rows.as_flattened_mut().iter_mut().for_each(|element| *element *= factor);
+}
+
+#[inline(never)]
+fn dot(one: &[f32], other: &[f32]) -> f32 {
     one.iter().zip(other).map(|(one, other)| one * other).sum()
 }
 
-fn column_length<const GAGES: usize>(rows: &Rows<GAGES>, gage: usize) -> f64 {
-    sqrt(rows.iter().map(|row| row[gage] * row[gage]).sum())
-}
-
-fn total_length<const GAGES: usize>(rows: &Rows<GAGES>) -> f64 {
-    sqrt(rows.iter().flatten().map(|element| element * element).sum())
-}
-
-fn root_of_squares<const GAGES: usize>(values: &[f64; GAGES]) -> f64 {
-    sqrt(values.iter().map(|value| value * value).sum())
+fn length(vector: &[f32]) -> f32 {
+    sqrtf(dot(vector, vector))
 }

@@ -15,16 +15,16 @@ use crate::storage::items::StoredCalibration;
 
 const GAGES: usize = 6;
 /// What hangs on the sensor.
-const NEWTON: f64 = 15.0;
+const NEWTON: f32 = 15.0;
 /// What a gage answers at most, counts per newton.
-const ANSWER: f64 = 1e5;
-const UNCERTAINTY: f64 = 5e-4;
+const ANSWER: f32 = 1e5;
+const UNCERTAINTY: f32 = 5e-4;
 
 /// Six struts, inclined to the mounting plane.
 fn struts() -> Rows<GAGES> {
-    let gage = |gage: usize| core::f64::consts::FRAC_PI_3 * gage as f64;
-    let along = core::array::from_fn(|k| 0.8 * ANSWER * libm::cos(gage(k)));
-    [along, core::array::from_fn(|k| 0.8 * ANSWER * libm::sin(gage(k))), [0.6 * ANSWER; GAGES]]
+    let gage = |gage: usize| core::f32::consts::FRAC_PI_3 * gage as f32;
+    let along = core::array::from_fn(|k| 0.8 * ANSWER * libm::cosf(gage(k)));
+    [along, core::array::from_fn(|k| 0.8 * ANSWER * libm::sinf(gage(k))), [0.6 * ANSWER; GAGES]]
 }
 
 fn bias() -> GageList<f64> {
@@ -32,9 +32,7 @@ fn bias() -> GageList<f64> {
 }
 
 fn stored(shape: &Rows<GAGES>) -> StoredCalibration {
-    let matrix = dual(3, shape).unwrap();
-    #[expect(clippy::cast_possible_truncation, reason = "as it is uploaded")]
-    let matrix = matrix.iter().flatten().map(|&element| element as f32).collect();
+    let matrix = dual(3, shape).unwrap().iter().flatten().copied().collect();
     let mut upload = CalibrationUpload { dof: Dof::SpatialForce, bias_counts: bias(), matrix, identity: 0 };
     upload.identity = upload.identity_of_numbers();
     StoredCalibration { upload, gain: Gain::X128, origin: CalibrationOrigin::Uploaded }
@@ -45,7 +43,7 @@ fn solved(shape: &Rows<GAGES>) -> (Solution, Coverage) {
     let (sine, cosine) = (0.6, 0.8);
     let turned = |gage: usize| {
         let [x, y, z] = [shape[0][gage], shape[1][gage], shape[2][gage]];
-        [cosine * x - sine * z, -y, sine * x + cosine * z].map(|component| NEWTON * component)
+        [cosine * x - sine * z, -y, sine * x + cosine * z].map(|component| f64::from(NEWTON * component))
     };
     let columns: Vec<[f64; 3]> = (0..GAGES).map(turned).collect();
     let solution = Solution {
@@ -56,8 +54,7 @@ fn solved(shape: &Rows<GAGES>) -> (Solution, Coverage) {
         noise_counts: None,
         samples: 1000,
     };
-    #[expect(clippy::cast_possible_truncation, reason = "as it is told")]
-    let deviation = (UNCERTAINTY * ANSWER * NEWTON) as f32;
+    let deviation = UNCERTAINTY * ANSWER * NEWTON;
     let coverage = Coverage {
         samples: 1000,
         fraction: 1.0,
@@ -71,7 +68,7 @@ fn solved(shape: &Rows<GAGES>) -> (Solution, Coverage) {
 }
 
 /// The shape with one gage whose gain is off.
-fn with_gain(gage: usize, gain: f64) -> Rows<GAGES> {
+fn with_gain(gage: usize, gain: f32) -> Rows<GAGES> {
     let mut shape = struts();
     for row in &mut shape {
         row[gage] *= gain;
@@ -87,14 +84,14 @@ fn judged(shape: &Rows<GAGES>) -> Result<Judgement, FieldRefusal> {
 #[test]
 fn a_sensor_that_has_not_moved_is_confirmed() {
     let Ok(Judgement::Confirmed(found)) = judged(&struts()) else { panic!("confirmed") };
-    // The matrix came in single precision, which its condition of about two multiplies.
-    assert!(found.drift < 1e-6 && found.bias_shift_newton == 0.0, "{found:?}");
-    assert!((f64::from(found.load_newton) / NEWTON - 1.0).abs() < 1e-6, "{found:?}");
+    // All is in single precision.
+    assert!(found.drift < 1e-5 && found.bias_shift_newton == 0.0, "{found:?}");
+    assert!((found.load_newton / NEWTON - 1.0).abs() < 1e-5, "{found:?}");
     assert_eq!(found.reference, stored(&struts()).upload.identity);
     // A scale cannot be told: it is a lighter load.
     let lighter = struts().map(|row| row.map(|element| 0.9 * element));
     let Ok(Judgement::Confirmed(found)) = judged(&lighter) else { panic!("confirmed") };
-    assert!((f64::from(found.load_newton) / (0.9 * NEWTON) - 1.0).abs() < 1e-6, "{found:?}");
+    assert!((found.load_newton / (0.9 * NEWTON) - 1.0).abs() < 1e-5, "{found:?}");
 }
 
 /// What moves by less than three standard deviations is chance, by more is not: with what of it the others take along, at most
@@ -114,10 +111,10 @@ fn a_drifted_gage_is_told_and_mended() {
         let exact = exact.iter().flatten();
         let (mut error, mut size) = (0.0, 0.0);
         for (&new, exact) in new.upload.matrix.iter().zip(exact) {
-            error += (f64::from(new) - exact).powi(2);
+            error += (new - exact) * (new - exact);
             size += exact * exact;
         }
-        assert!(libm::sqrt(error / size) < 2.0 * UNCERTAINTY, "{}", libm::sqrt(error / size));
+        assert!(libm::sqrtf(error / size) < 2.0 * UNCERTAINTY, "{}", libm::sqrtf(error / size));
     }
 }
 
@@ -126,14 +123,14 @@ fn a_gage_that_has_moved_too_far_is_refused() {
     for change in [-0.5, -0.05, 0.05, 0.5, -1.0] {
         let outcome = judged(&with_gain(2, 1.0 + change));
         let Err(FieldRefusal::Drifted { gage: 2, drift, .. }) = outcome else { panic!("{outcome:?}") };
-        assert!(f64::from(drift) > LARGEST_DRIFT && f64::from(drift) < 2.0 * f64::abs(change));
+        assert!(drift > LARGEST_DRIFT && drift < 2.0 * f32::abs(change));
     }
 }
 
 #[test]
 fn a_bias_alone_leaves_the_matrix_as_it_was() {
     let (mut solution, coverage) = solved(&struts());
-    solution.bias_counts[3] += 4.0 * UNCERTAINTY * ANSWER * NEWTON;
+    solution.bias_counts[3] += f64::from(4.0 * UNCERTAINTY * ANSWER * NEWTON);
     let reference = stored(&struts());
     let Ok(Judgement::Renewed(new)) = judge::<GAGES>(&reference, &solution, &coverage) else {
         panic!("renewed")
