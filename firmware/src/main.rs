@@ -4,9 +4,9 @@
 //! |---|---|---|---|
 //! | 4 | `link` | USART3 | moves bytes between the line and two queues, nothing else |
 //! | 3 | `sample` | EXTI9_5: data-ready | the sample path: read, take into the trial, apply, queue the outcome |
-//! | 3 | `tick` | SysTick, every 2 ms | watches over the converter, starts it where it is due; the light shows whether it runs |
+//! | 3 | `tick` | SysTick, every 2 ms | watches over the converter, starts it where it is due; looks at the button, and says what the light shows |
 //! | 2 | `session` | TIM7, raised by hand | decodes requests, has them answered, puts samples together into frames |
-//! | 0 | `idle` | none | reads the memory at the start; then solves trials and stores, in the background |
+//! | 0 | `idle` | none | reads the memory at the start; then solves trials, stores, and calibrates in the field, in the background |
 //!
 //! **Why the link comes first.** The line keeps one byte for 11 µs, and the converter's start, which the tick does, takes up to
 //! 17 ms. The link's interrupt takes less than a microsecond and shares nothing, so it delays the sample path by no more than
@@ -225,13 +225,12 @@ mod app {
         if context.shared.vitality.all_have_run() {
             context.local.watchdog.feed();
         }
-        let (moment, runs) = context.shared.sensor.lock(|sensor| {
-            let moment = sensor.tick(time_base::now(), &mut time_base::Delay);
-            (moment, sensor.converter_runs())
-        });
         let Panel { button, light } = context.local.panel;
-        // The button inverts the light, which shows that both work.
-        light.set(runs != button.is_pressed());
+        let (moment, is_lit) = context.shared.sensor.lock(|sensor| {
+            let moment = sensor.tick(time_base::now(), &mut time_base::Delay);
+            (moment, sensor.attend_panel(time_base::now(), button.is_pressed()))
+        });
+        light.set(is_lit);
         queue_moment(moment, context.shared.moments, context.shared.dropped_samples);
         // Samples that wait for others may have waited long enough, and the session is to show that it is alive.
         rtic::pend(Interrupt::TIM7);
@@ -322,7 +321,7 @@ mod app {
         }
     }
 
-    /// Solves trials and stores, or sleeps. A job that comes just before the sleep waits for the next interrupt: 2 ms at most.
+    /// Solves trials, stores, calibrates in the field, or sleeps. A job that comes just before the sleep waits for the next interrupt: 2 ms at most.
     #[idle(local = [keeper], shared = [sensor, job, store_job, requests, outcome, &vitality])]
     fn idle(context: idle::Context) -> ! {
         let keeper = context.local.keeper;
@@ -340,6 +339,10 @@ mod app {
             } else if let Some((id, job)) = store_job.lock(Option::take) {
                 let stored = keeper.run(&job);
                 (id, access.sensor.lock(|sensor| sensor.finish_storing(stored)))
+            } else if let Some(task) = access.sensor.lock(|sensor| sensor.field_task(time_base::now())) {
+                let done = task.run(keeper);
+                access.sensor.lock(|sensor| sensor.finish_field(done, time_base::now()));
+                continue;
             } else {
                 keeper.attend(time_base::now(), &mut access);
                 cortex_m::asm::wfi();

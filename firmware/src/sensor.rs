@@ -149,11 +149,6 @@ where
         }
     }
 
-    /// Whether conversions come, as they should.
-    pub const fn converter_runs(&self) -> bool {
-        matches!(self.acquisition.state(), AdcState::Running)
-    }
-
     /// The sample path: reads the conversion that the converter announces, takes it into the trial, and applies the
     /// calibration. Allocates nothing and waits for nothing but the bus transfer. For the two times see
     /// [`Acquisition::on_data_ready`].
