@@ -25,6 +25,8 @@
 //! | [`session::Session::watch`] | every few milliseconds | below the sample path |
 //! | [`stream::Batcher`] | samples wait for the line | below the sample path |
 //! | [`trial::SolveJob::solve`] | a trial is to be solved | lowest priority, in the background |
+//! | [`sensor::Sensor::attend_panel`] | every few milliseconds | timer |
+//! | [`field::FieldTask::run`] | a calibration in the field has something to compute or to store | lowest priority, in the background |
 //! | [`storage::job::StoreJob::run`] | something is to be stored | lowest priority, in the background |
 #![no_std]
 
@@ -33,6 +35,7 @@ pub mod adc;
 pub mod baud;
 pub mod black_box;
 pub mod decimator;
+pub mod field;
 pub mod handover;
 pub mod health;
 pub mod long_count;

@@ -5,9 +5,9 @@
 //! | 4 | `link` | USART3 | moves bytes between the line and two queues, nothing else |
 //! | 3 | `sample` | EXTI9_5: data-ready | reads the conversion and queues it |
 //! | 3 | `tick` | SysTick, every 2 ms | watches over the converter, starts it where it is due; feeds the watchdog |
-//! | 2 | `process` | TIM6_DAC, raised by hand | takes readings into the trial, applies the calibration, queues the outcome; the light shows how it is |
+//! | 2 | `process` | TIM6_DAC, raised by hand | takes readings into the trial, applies the calibration, queues the outcome; looks at the button, and says what the light shows |
 //! | 1 | `session` | TIM7, raised by hand | decodes requests, has them answered, puts samples together into frames |
-//! | 0 | `idle` | none | reads the memory at the start; then solves trials and stores, in the background |
+//! | 0 | `idle` | none | reads the memory at the start; then solves trials, stores, and calibrates in the field, in the background |
 //!
 //! **Why the link comes first.** The line keeps one byte for 11 µs, and the converter's start, which the tick does, takes up to
 //! 17 ms. The link's interrupt takes less than a microsecond and shares nothing, so it delays the sample path by no more than
@@ -289,8 +289,7 @@ mod app {
                 acquisition.lock(|acquisition| sensor.exchange(acquisition));
                 queue(sensor.tick(time_base::now()));
                 let Panel { button, light } = context.local.panel;
-                // The button inverts the light, which shows that both work.
-                light.set(sensor.converter_runs() != button.is_pressed());
+                light.set(sensor.attend_panel(time_base::now(), button.is_pressed()));
                 // Samples that wait for others may have waited long enough, and the session is to show that it is alive.
                 rtic::pend(Interrupt::TIM7);
             }
@@ -374,7 +373,7 @@ mod app {
         }
     }
 
-    /// Solves trials and stores, or sleeps. A job that comes just before the sleep waits for the next interrupt: 2 ms at most.
+    /// Solves trials, stores, calibrates in the field, or sleeps. A job that comes just before the sleep waits for the next interrupt: 2 ms at most.
     #[idle(local = [keeper], shared = [sensor, job, store_job, requests, outcome, &vitality])]
     fn idle(context: idle::Context) -> ! {
         let keeper = context.local.keeper;
@@ -392,6 +391,10 @@ mod app {
             } else if let Some((id, job)) = store_job.lock(Option::take) {
                 let stored = keeper.run(&job);
                 (id, access.sensor.lock(|sensor| sensor.finish_storing(stored)))
+            } else if let Some(task) = access.sensor.lock(|sensor| sensor.field_task(time_base::now())) {
+                let done = task.run(keeper);
+                access.sensor.lock(|sensor| sensor.finish_field(done, time_base::now()));
+                continue;
             } else {
                 keeper.attend(time_base::now(), &mut access);
                 cortex_m::asm::wfi();

@@ -1,6 +1,7 @@
 //! The sensor as a whole: samples in, frames out; requests in, responses out. Requests about its health, and about what it
-//! keeps, are served in files of their own.
+//! keeps, are served in files of their own; so is whoever calibrates it in the field, with no host.
 
+mod field;
 mod health;
 mod keeping;
 
@@ -14,16 +15,18 @@ use ftcal_shared::fault::AdcFault;
 use ftcal_shared::units::{AdcCode, Decimation, DeviceTime, Gain, SampleIndex};
 use ftcal_shared::wire::health::StatusBit;
 use ftcal_shared::wire::{
-    AdcState, CalibrationUpload, ClockSource, CodesFrame, GageList, Identity, InvalidCause, KeptCalibrations,
-    Output, PackedWrenches, Rejection, Request, Response, Status, StreamKind,
+    AdcState, CalibrationOrigin, CalibrationUpload, ClockSource, CodesFrame, GageList, Identity,
+    InvalidCause, KeptCalibrations, Output, PackedWrenches, Rejection, Request, Response, Status, StreamKind,
 };
 
 use crate::acquisition::{Acquisition, Sample};
 use crate::adc::ChannelMask;
 use crate::decimator::{Decimator, group_delay};
+use crate::field::Field;
 use crate::handover::{Reading, RemoteConverter};
 use crate::health::{Health, Observed, SelfTest, is_disturbance};
 use crate::storage::checkpoint::TrialAccess;
+use crate::storage::items::StoredCalibration;
 use crate::storage::job::StoreJob;
 use crate::stream::{Measurement, Moment, SilentMoment, WrenchMoment};
 use crate::trial::{SolveJob, Trial};
@@ -61,6 +64,7 @@ pub struct Sensor<Store, const GAGES: usize, const HIGHER: usize> {
     storing: bool,
     health: Health<GAGES>,
     self_test: SelfTest<GAGES>,
+    field: Field,
     stream: StreamKind,
     abandoned_streams: u32,
     decimator: Decimator,
@@ -74,17 +78,23 @@ struct LoadedCalibration<const GAGES: usize> {
     upload: CalibrationUpload,
     /// The gain that it was made at: its counts are counts at this gain.
     gain: Gain,
+    origin: CalibrationOrigin,
     /// Of all gages, or of all but one.
     real_time: RealTimeCalibration<GAGES>,
 }
 
 impl<const GAGES: usize> LoadedCalibration<GAGES> {
-    fn new(upload: CalibrationUpload, gain: Gain) -> Result<Self, Rejection> {
+    fn new(stored: StoredCalibration) -> Result<Self, Rejection> {
+        let StoredCalibration { upload, gain, origin } = stored;
         if upload.identity != upload.identity_of_numbers() {
             return Err(Rejection::WrongIdentity);
         }
         let real_time = prepared(&upload)?;
-        Ok(Self { upload, gain, real_time })
+        Ok(Self { upload, gain, origin, real_time })
+    }
+
+    fn to_be_stored(&self) -> StoredCalibration {
+        StoredCalibration { upload: self.upload.clone(), gain: self.gain, origin: self.origin }
     }
 }
 
@@ -103,6 +113,7 @@ where
             storing: false,
             health: Health::new(),
             self_test: SelfTest::new(),
+            field: Field::new(),
             stream: StreamKind::Off,
             abandoned_streams: 0,
             decimator: Decimator::new(Decimation::default()),
@@ -144,11 +155,6 @@ where
                 None
             }
         }
-    }
-
-    /// Whether conversions come, as they should.
-    pub const fn converter_runs(&self) -> bool {
-        matches!(self.converter.state(), AdcState::Running)
     }
 
     /// The sample path, once a conversion is read: takes it into the trial, and applies the calibration. Allocates nothing and waits for
@@ -205,7 +211,10 @@ where
                 Ok(job) => return Reaction::Store(job),
                 Err(rejection) => Err(rejection),
             },
-            Request::StopTrial => self.trial.stop().map(Response::Trial),
+            Request::StopTrial => self.trial.stop().map(|stopped| {
+                self.field.give_up();
+                Response::Trial(stopped)
+            }),
             Request::TrialStatus => Ok(Response::Trial(self.trial.status())),
             Request::SolveTrial => match self.trial.take_for_solving() {
                 Ok(job) => return Reaction::Solve(job),
@@ -218,6 +227,7 @@ where
             Request::Diagnosis => return Reaction::Diagnose,
             Request::UploadCalibration(upload) => self
                 .require_no_self_test()
+                .and_then(|()| self.require_nothing_stored(true))
                 .and_then(|()| self.load(upload))
                 .map(|()| self.calibration_response()),
             Request::ReadCalibration => Ok(self.calibration_response()),
@@ -235,6 +245,7 @@ where
                 }
                 Ok(Response::Output(self.output()))
             }
+            Request::ReadField => Ok(Response::Field(self.field_report())),
         };
         self.note_conditions();
         Reaction::Respond(served.unwrap_or_else(Response::Rejected))
@@ -345,7 +356,8 @@ where
             // Once more, because the answer was lost: tare and noise are of this very calibration.
             return Ok(());
         }
-        LoadedCalibration::new(upload, gain).map(|loaded| self.use_calibration(loaded))
+        let uploaded = StoredCalibration { upload, gain, origin: CalibrationOrigin::Uploaded };
+        LoadedCalibration::new(uploaded).map(|loaded| self.use_calibration(loaded))
     }
 
     fn use_calibration(&mut self, loaded: LoadedCalibration<GAGES>) {

@@ -54,6 +54,8 @@ pub struct Standing {
     pub first: SampleIndex,
     /// What became of the samples.
     pub counts: Counts,
+    /// Somebody has started it with the sensor's button: no host asks for its answer.
+    pub by_button: bool,
 }
 
 /// What became of the samples that were offered.
@@ -113,6 +115,7 @@ where
                 settings: Settings::default(),
                 first: SampleIndex::default(),
                 counts: Counts::default(),
+                by_button: false,
             },
             left_out: LeftOut::default(),
             resumption: Resumption::None,
@@ -164,11 +167,17 @@ where
         self.may_start(rank)?;
         self.store.as_mut().ok_or(Rejection::TrialBusy)?.restart();
         let (first, counts) = (SampleIndex::default(), Counts::default());
-        self.standing = Standing { phase: TrialPhase::Running, rank, settings, first, counts };
+        self.standing =
+            Standing { phase: TrialPhase::Running, rank, settings, first, counts, by_button: false };
         self.left_out = LeftOut::default();
         self.resumption = Resumption::None;
         self.checkpointed = 0;
         Ok(())
+    }
+
+    /// Notes that the trial was started with the sensor's button.
+    pub const fn note_button(&mut self) {
+        self.standing.by_button = true;
     }
 
     /// Where the trial stands.
@@ -346,6 +355,16 @@ where
             Wanted::Solution => self.solve().map_or_else(Response::Refused, Response::Solution),
             Wanted::Coverage => self.coverage().map_or_else(Response::Refused, Response::Coverage),
         }
+    }
+
+    /// Solves the trial, and tells what it has covered and how certain the solution is.
+    ///
+    /// # Errors
+    ///
+    /// Those of [`SolveJob::solve`].
+    pub fn solve_with_coverage(&mut self) -> Result<(Solution, Coverage), Refusal> {
+        let solution = self.solve()?;
+        Ok((solution, self.coverage()?))
     }
 
     fn coverage(&mut self) -> Result<Coverage, Refusal> {

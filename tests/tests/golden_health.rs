@@ -1,10 +1,12 @@
-//! Golden bytes of the messages about the sensor's health; for what golden bytes are see `golden_bytes.rs`.
+//! Golden bytes of the messages about the sensor's health and about calibrations in the field; for what golden bytes are see `golden_bytes.rs`.
 
 use ftcal_shared::fault::AdcFault;
+use ftcal_shared::refusal::Refusal;
 use ftcal_shared::wire::health::StatusWord;
 use ftcal_shared::wire::{
-    Diagnosis, Failure, Found, HealthReport, HealthRequest, HealthResponse, InvalidCause, LoadLimits,
-    LoadThreshold, MAX_OUTCOMES, ParityReport, PlayedFault, Rejection, Request, ResetCause, Response,
+    CalibrationOrigin, Diagnosis, Failure, FieldComparison, FieldOutcome, FieldPhase, FieldRefusal,
+    FieldReport, Found, HealthReport, HealthRequest, HealthResponse, InvalidCause, LoadLimits, LoadThreshold,
+    MAX_OUTCOMES, ParityReport, PlayedFault, Rejection, Renewed, Request, ResetCause, Response,
     SelfTestOutcome, SelfTestPhase, SelfTestReport, TarePhase, TareRefusal, TareReport,
 };
 use serde::Serialize;
@@ -122,6 +124,57 @@ fn self_tests() {
     assert!(outcomes.len() <= MAX_OUTCOMES);
     let none = Response::Health(HealthResponse::SelfTest(SelfTestReport::default()));
     assert_golden(&none, &[&[10, 3, 0, 0]]);
+}
+
+#[test]
+fn calibrations_in_the_field() {
+    assert_golden(&Request::ReadField, &[&[16]]);
+    let golden = |report, bytes: &[&[u8]]| {
+        assert_golden(&Response::Field(report), &[&[12], bytes.concat().as_slice()]);
+    };
+    let found = FieldComparison {
+        reference: 300,
+        relative_uncertainty: 0.5,
+        drift: 1.0,
+        gage: 7,
+        bias_shift_newton: 1.0,
+        load_newton: 0.5,
+    };
+    let comparison = [&[0xAC, 0x02], HALF.as_slice(), &ONE, &[7], &ONE, &HALF].concat();
+    golden(FieldReport::default(), &[&[0, 0, 0]]);
+    let report = FieldReport {
+        phase: FieldPhase::Running { quarters: 3 },
+        last: Some(FieldOutcome::Renewed(Renewed::ShapeAndBias, found)),
+        origin: Some(CalibrationOrigin::Field(Renewed::Bias, found)),
+    };
+    golden(report, &[&[2, 3, 1, 0, 1], &comparison, &[1, 1, 0], &comparison]);
+    let confirmed = FieldReport {
+        phase: FieldPhase::Storing,
+        last: Some(FieldOutcome::Confirmed(found)),
+        origin: Some(CalibrationOrigin::Uploaded),
+    };
+    golden(confirmed, &[&[4, 1, 1], &comparison, &[1, 0]]);
+    assert_golden(&FieldPhase::Preparing, &[&[1]]);
+    assert_golden(&FieldPhase::Solving, &[&[3]]);
+    let refusals: [(FieldRefusal, &[&[u8]]); 14] = [
+        (FieldRefusal::Uncalibrated, &[&[0]]),
+        (FieldRefusal::CalibrationNotKept, &[&[1]]),
+        (FieldRefusal::MeasuresTorque, &[&[2]]),
+        (FieldRefusal::GainChanged, &[&[3]]),
+        (FieldRefusal::Converter, &[&[4]]),
+        (FieldRefusal::Busy(Rejection::TrialBusy), &[&[5, 1]]),
+        (FieldRefusal::TakenOver, &[&[6]]),
+        (FieldRefusal::CalibrationChanged, &[&[7]]),
+        (FieldRefusal::Trial(Refusal::MetricNotPositiveDefinite), &[&[8, 4]]),
+        (FieldRefusal::Unfinished { quarters: 2, need: 3 }, &[&[9, 2, 3]]),
+        (FieldRefusal::UnusableNumbers, &[&[10]]),
+        (FieldRefusal::EitherHand, &[&[11]]),
+        (FieldRefusal::Drifted { gage: 2, drift: 1.0, limit: 0.5 }, &[&[12, 2], &ONE, &HALF]),
+        (FieldRefusal::NotStored, &[&[13]]),
+    ];
+    for (refusal, bytes) in refusals {
+        assert_golden(&FieldOutcome::Refused(refusal), &[&[2], bytes.concat().as_slice()]);
+    }
 }
 
 #[test]

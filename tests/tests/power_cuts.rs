@@ -31,7 +31,8 @@ use ftcal_firmware::storage::layout::SECTOR;
 use ftcal_firmware::storage::memory::Memory;
 use ftcal_shared::units::{DeviceTime, Dof, Gain};
 use ftcal_shared::wire::{
-    CalibrationUpload, GageList, KeptCalibration, Rejection, Resumption, TrialPhase, TrialStatus,
+    CalibrationOrigin, CalibrationUpload, GageList, KeptCalibration, Rejection, Resumption, TrialPhase,
+    TrialStatus,
 };
 use rand::{Rng, RngExt};
 
@@ -116,7 +117,11 @@ fn heads(content: &[u8]) -> [&[u8]; 2] {
 /// to read, which thousands of others would.
 fn about_to_erase(folder: &Path) -> Vec<u8> {
     let (full, probe) = (folder.join("full"), folder.join("probe"));
-    let stored = |number| StoredCalibration { upload: calibration(number), gain: Gain::default() };
+    let stored = |number| StoredCalibration {
+        upload: calibration(number),
+        gain: Gain::default(),
+        origin: CalibrationOrigin::Uploaded,
+    };
     let memory = |path: &Path| Memory::new(SimulatedFlash::in_file(path).unwrap());
     for number in [2, 1] {
         memory(&full).store_calibration(&stored(number)).unwrap();
@@ -300,7 +305,11 @@ fn try_through_cuts(seed: u64, lives: u32, is_stopped: bool) {
     let mut rng = random(seed);
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("flash");
-    let stored = StoredCalibration { upload: calibration(1), gain: Gain::default() };
+    let stored = StoredCalibration {
+        upload: calibration(1),
+        gain: Gain::default(),
+        origin: CalibrationOrigin::Uploaded,
+    };
     Memory::new(SimulatedFlash::in_file(&file).unwrap()).store_calibration(&stored).unwrap();
     let (mut resumed, mut latest) = (0, Duration::ZERO);
     for cut in 0..lives {

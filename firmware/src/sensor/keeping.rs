@@ -68,9 +68,8 @@ where
         }
         let job = match request {
             MemoryRequest::StoreCalibration => {
-                let LoadedCalibration { upload, gain, .. } =
-                    self.calibration.as_ref().ok_or(Rejection::Uncalibrated)?;
-                StoreJob::Calibration(StoredCalibration { upload: upload.clone(), gain: *gain })
+                let loaded = self.calibration.as_ref().ok_or(Rejection::Uncalibrated)?;
+                StoreJob::Calibration(loaded.to_be_stored())
             }
             MemoryRequest::RollBack { to } => StoreJob::RollBack(to),
             MemoryRequest::StoreSettings => StoreJob::Settings(self.settings(), self.health.kept()),
@@ -85,14 +84,14 @@ where
         self.storing = false;
         let served = match stored {
             Stored::Kept(kept) => self.take_up(kept, false).map(|()| Response::Done),
-            Stored::RolledBack(kept) => self.take_up(kept, true).map(|()| self.calibration_response()),
+            Stored::Replaced(kept) => self.take_up(kept, true).map(|()| self.calibration_response()),
             Stored::Prepared { rank } => self.trial.start(rank, self.settings()).map(|()| Response::Done),
             Stored::Failed(error) => Err(error.into()),
         };
         served.unwrap_or_else(Response::Rejected)
     }
 
-    fn settings(&self) -> Settings {
+    pub(super) fn settings(&self) -> Settings {
         let &AdcSettings { data_rate, gain, .. } = self.converter.settings();
         Settings { data_rate, gain }
     }
@@ -102,8 +101,8 @@ where
         let Kept { calibration, calibrations, identity, .. } = kept;
         self.kept = calibrations;
         self.identity = identity;
-        let Some(StoredCalibration { upload, gain }) = calibration else { return Ok(()) };
-        match LoadedCalibration::new(upload, gain) {
+        let Some(stored) = calibration else { return Ok(()) };
+        match LoadedCalibration::new(stored) {
             Ok(loaded) if use_it => self.use_calibration(loaded),
             Ok(_) => {}
             Err(rejection) => {

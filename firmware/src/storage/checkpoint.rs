@@ -409,9 +409,10 @@ where
 }
 
 fn write_standing<Flash: NorFlash>(standing: &Standing, words: &mut WordWriter<'_, Flash>) {
-    let Standing { phase, rank, settings, first, counts } = standing;
+    let Standing { phase, rank, settings, first, counts, by_button } = standing;
     let is_stopped = u32::from(*phase == TrialPhase::Stopped);
-    words.put(is_stopped | (u32::from(*rank) << 8) | (u32::from(settings.gain.factor()) << 16));
+    let kind = is_stopped | (u32::from(*by_button) << 1);
+    words.put(kind | (u32::from(*rank) << 8) | (u32::from(settings.gain.factor()) << 16));
     words.put(settings.data_rate.hertz());
     words.put(first.get());
     let Counts { offered, taken, saturated, repeated, contradictory, unattended } = *counts;
@@ -424,8 +425,9 @@ fn read_standing<Flash: NorFlash>(words: &mut WordReader<'_, Flash>, number: u32
     if (words.next_word()?, words.next_word()?) != (RECORD, number) {
         return None;
     }
-    let [is_stopped, rank, gain, _] = words.next_word()?.to_le_bytes();
-    let phase = if is_stopped == 0 { TrialPhase::Running } else { TrialPhase::Stopped };
+    let [kind, rank, gain, _] = words.next_word()?.to_le_bytes();
+    let by_button = kind & 2 != 0;
+    let phase = if kind & 1 == 0 { TrialPhase::Running } else { TrialPhase::Stopped };
     let data_rate = DataRate::from_hertz(words.next_word()?)?;
     let settings = Settings { data_rate, gain: Gain::from_factor(gain)? };
     let first = SampleIndex::new(words.next_word()?);
@@ -435,7 +437,7 @@ fn read_standing<Flash: NorFlash>(words: &mut WordReader<'_, Flash>, number: u32
     }
     let [offered, taken, saturated, repeated, contradictory, unattended] = counts;
     let counts = Counts { offered, taken, saturated, repeated, contradictory, unattended };
-    (2..=3).contains(&rank).then_some(Standing { phase, rank, settings, first, counts })
+    (2..=3).contains(&rank).then_some(Standing { phase, rank, settings, first, counts, by_button })
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! What is kept: calibrations, settings, name and counters.
 
 use ftcal_shared::units::{DataRate, Gain};
-use ftcal_shared::wire::{CalibrationUpload, SensorName};
+use ftcal_shared::wire::{CalibrationOrigin, CalibrationUpload, SensorName};
 use serde::{Deserialize, Serialize};
 
 use super::record::Key;
@@ -27,11 +27,13 @@ pub struct StoredCalibration {
     pub upload: CalibrationUpload,
     /// The gain that it was uploaded at: its counts are counts at this gain.
     pub gain: Gain,
+    /// Where it comes from.
+    pub origin: CalibrationOrigin,
 }
 
 impl StoredCalibration {
     /// The number of its format.
-    pub(super) const FORMAT: u8 = 1;
+    pub(super) const FORMAT: u8 = 2;
 }
 
 /// How the converter is to be set after a reset.

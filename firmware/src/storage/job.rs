@@ -16,6 +16,8 @@ use crate::health::KeptHealth;
 pub enum StoreJob {
     /// Make this calibration the current one.
     Calibration(StoredCalibration),
+    /// Make this calibration the current one, and use it from then on.
+    Renewal(StoredCalibration),
     /// Make the previous calibration, of this identity, the current one.
     RollBack(u32),
     /// Keep these settings, and with them limits, tare and peaks.
@@ -39,7 +41,7 @@ pub enum Stored {
     /// All that is kept now.
     Kept(Kept),
     /// All that is kept now, and is to be used from now on.
-    RolledBack(Kept),
+    Replaced(Kept),
     /// The trial of this rank may start. It has checkpoints if there was room for them.
     Prepared {
         /// The trial's proper rank.

@@ -64,7 +64,9 @@ impl<Flash: NorFlash> Keeper<Flash> {
     pub fn run(&mut self, job: &StoreJob) -> Stored {
         let memory = &mut self.memory;
         let done = match job {
-            StoreJob::Calibration(calibration) => memory.store_calibration(calibration),
+            StoreJob::Calibration(calibration) | StoreJob::Renewal(calibration) => {
+                memory.store_calibration(calibration)
+            }
             StoreJob::RollBack(to) => memory.roll_back(*to),
             StoreJob::Settings(settings, health) => {
                 memory.store(settings).and_then(|()| memory.store(health))
@@ -78,7 +80,7 @@ impl<Flash: NorFlash> Keeper<Flash> {
         };
         match done.and_then(|()| memory.read()) {
             Err(error) => Stored::Failed(error),
-            Ok(kept) if matches!(job, StoreJob::RollBack(_)) => Stored::RolledBack(kept),
+            Ok(kept) if matches!(job, StoreJob::RollBack(_) | StoreJob::Renewal(_)) => Stored::Replaced(kept),
             Ok(kept) => Stored::Kept(kept),
         }
     }

@@ -10,7 +10,7 @@ use crc::{CRC_32_ISO_HDLC, Crc, Table};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-/// The longest record: a calibration of twelve gages and six axes takes 399 bytes.
+/// The longest record: a calibration of twelve gages and six axes takes 400 bytes.
 pub(super) const LONGEST: usize = 440;
 
 /// Bytes of the checksum.

@@ -5,7 +5,7 @@ extern crate std;
 use std::vec::Vec;
 
 use ftcal_shared::units::{DataRate, Dof, Gain};
-use ftcal_shared::wire::{CalibrationUpload, GageList, KeptCalibration, KeptCalibrations};
+use ftcal_shared::wire::{CalibrationOrigin, CalibrationUpload, GageList, KeptCalibration, KeptCalibrations};
 
 use super::items::{Counters, Name, Settings, StoredCalibration};
 use super::layout::{SECTOR, WORD};
@@ -21,7 +21,7 @@ fn calibration(number: u32) -> StoredCalibration {
     let matrix = (0..48_u8).map(|element| f32::from(element) / 16.0).collect();
     let mut upload = CalibrationUpload { dof: Dof::SpatialForceTorque, bias_counts, matrix, identity: 0 };
     upload.identity = upload.identity_of_numbers();
-    StoredCalibration { upload, gain: Gain::X64 }
+    StoredCalibration { upload, gain: Gain::X64, origin: CalibrationOrigin::Uploaded }
 }
 
 fn identity(number: u32) -> u32 {

@@ -3,13 +3,16 @@
 use std::io::{self, Write};
 
 use clap::Args;
-use ftcal_shared::wire::{AdcState, Diagnosis, HealthReport, Hello, Identity, KeptCalibration, Status};
+use ftcal_shared::wire::{
+    AdcState, CalibrationOrigin, Diagnosis, FieldReport, HealthReport, Hello, Identity, KeptCalibration,
+    Status,
+};
 use serde::Serialize;
 
 use super::device::DeviceArgs;
 use super::health::{names, write_status};
 use super::{Failure, Streams, print_json};
-use crate::link::words;
+use crate::link::{field_words, words};
 
 /// The arguments of `ftcal info`.
 #[derive(Args, Clone, Debug)]
@@ -31,11 +34,12 @@ pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> 
     let hello = client.hello()?;
     let status = client.status()?;
     let identity = client.identity()?;
-    let (health, diagnosis) = (client.health()?, client.diagnosis()?);
+    let (health, diagnosis, field) = (client.health()?, client.diagnosis()?, client.field()?);
     if arguments.json {
-        print_json(&Info::new(&hello, &status, &identity, &health, &diagnosis), streams.data)?;
+        print_json(&Info::new(&hello, &status, &identity, &health, &diagnosis, &field), streams.data)?;
     } else {
         write_words(streams.data, &hello, &status, &identity)?;
+        write_field(streams.data, &field)?;
         write_diagnosis(streams.data, &diagnosis)?;
         writeln!(streams.data, "status       {:#010x}; `ftcal health` says more", health.live.bits())?;
         write_status(streams.data, health.live)?;
@@ -85,6 +89,17 @@ fn write_words(out: &mut dyn Write, hello: &Hello, status: &Status, identity: &I
     )
 }
 
+fn write_field(out: &mut dyn Write, field: &FieldReport) -> io::Result<()> {
+    if let Some(CalibrationOrigin::Field(renewed, found)) = &field.origin {
+        writeln!(out, "origin       {}", field_words::renewed(*renewed, found))?;
+    }
+    let phase = field_words::phase(field.phase);
+    match &field.last {
+        None => writeln!(out, "button       {phase}"),
+        Some(outcome) => writeln!(out, "button       {phase}; last time {}", field_words::outcome(outcome)),
+    }
+}
+
 fn write_diagnosis(out: &mut dyn Write, diagnosis: &Diagnosis) -> io::Result<()> {
     writeln!(out, "last reset   {}", words::reset_cause(diagnosis.reset))?;
     if let Some(failure) = &diagnosis.failure {
@@ -117,9 +132,20 @@ struct Info {
     trial: Trial,
     link: Link,
     status: Vec<&'static str>,
+    field: Field,
     last_reset: &'static str,
     failure: Option<String>,
     stack: Stack,
+}
+
+/// Calibration in the field.
+#[derive(Serialize)]
+struct Field {
+    phase: &'static str,
+    /// What the last one ended with: "renewed", "confirmed", or why it was refused.
+    last: Option<&'static str>,
+    /// Whether the calibration in use was renewed in the field.
+    renewed: bool,
 }
 
 #[derive(Serialize)]
@@ -183,6 +209,7 @@ impl Info {
         identity: &Identity,
         health: &HealthReport,
         diagnosis: &Diagnosis,
+        field: &FieldReport,
     ) -> Self {
         let hexadecimal = |identity: u32| format!("{identity:08x}");
         let (kept, problem) = match status.kept.current {
@@ -241,6 +268,11 @@ impl Info {
                 abandoned_streams: status.abandoned_streams,
             },
             status: names(health.live),
+            field: Field {
+                phase: field_words::phase_name(field.phase),
+                last: field.last.as_ref().map(field_words::outcome_name),
+                renewed: matches!(field.origin, Some(CalibrationOrigin::Field(..))),
+            },
             last_reset: words::reset_cause(diagnosis.reset),
             failure: diagnosis.failure.as_ref().map(words::failure),
             stack: Stack { used_bytes: diagnosis.stack_used_bytes, bytes: diagnosis.stack_bytes },

@@ -11,8 +11,8 @@ use std::time::Duration;
 
 use ftcal_shared::units::{DataRate, Decimation, Gain};
 use ftcal_shared::wire::{
-    AdcState, CalibrationUpload, Coverage, Diagnosis, Hello, Output, Request, Response, Solution, Status,
-    StreamKind, TrialStatus,
+    AdcState, CalibrationUpload, Coverage, Diagnosis, FieldReport, Hello, Output, Request, Response,
+    Solution, Status, StreamKind, TrialStatus,
 };
 
 use super::conversation::Conversation;
@@ -119,6 +119,18 @@ impl<Line: Transport> Client<Line> {
     pub fn diagnosis(&mut self) -> Result<Diagnosis, ClientError> {
         match self.conversation.request(Request::Diagnosis, ANSWER)? {
             Response::Diagnosis(diagnosis) => Ok(diagnosis),
+            _ => Err(LinkError::UnexpectedResponse.into()),
+        }
+    }
+
+    /// What of calibrations in the field?
+    ///
+    /// # Errors
+    ///
+    /// [`ClientError`].
+    pub fn field(&mut self) -> Result<FieldReport, ClientError> {
+        match self.conversation.request(Request::ReadField, ANSWER)? {
+            Response::Field(report) => Ok(report),
             _ => Err(LinkError::UnexpectedResponse.into()),
         }
     }

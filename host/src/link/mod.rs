@@ -11,12 +11,14 @@
 //! | [`error`] | what can go wrong, the link's troubles apart from the sensor's own |
 //! | [`words`] | what a sensor reports, in words |
 //! | [`health_words`] | the same of its health: status word, tare, self-test |
+//! | [`field_words`] | the same of calibrations in the field |
 //! | [`remedy`] | what to do about each error |
 
 pub mod client;
 pub mod continuity;
 mod conversation;
 pub mod error;
+pub mod field_words;
 pub mod frame;
 pub mod health_words;
 pub mod remedy;

@@ -37,6 +37,7 @@ use super::bench::Bench;
 use super::bus::SharedBench;
 use super::flash::SimulatedFlash;
 use super::line::Line;
+use super::panel::SharedPanel;
 use super::scenario::Scenario;
 use super::sensor::SoftwareSensor;
 use crate::link::transport::{Transport, TransportError};
@@ -86,6 +87,7 @@ pub struct UnsupportedGages {
 pub struct SimulatedBoard {
     board: Box<dyn Board>,
     bench: SharedBench,
+    panel: SharedPanel,
     /// The rate at the host's end.
     baud: u32,
 }
@@ -121,22 +123,29 @@ impl SimulatedBoard {
     ) -> Result<Self, UnsupportedGages> {
         let gages = sensor.gages();
         let bench = SharedBench::new(Bench::new(sensor, seed));
+        let panel = SharedPanel::default();
+        let (on, at) = (bench.clone(), panel.clone());
         let board: Box<dyn Board> = match gages {
-            2 => Box::new(GageBoard::<2, { higher_moment_count(2) }>::new(bench.clone(), flash)),
-            3 => Box::new(GageBoard::<3, { higher_moment_count(3) }>::new(bench.clone(), flash)),
-            4 => Box::new(GageBoard::<4, { higher_moment_count(4) }>::new(bench.clone(), flash)),
-            5 => Box::new(GageBoard::<5, { higher_moment_count(5) }>::new(bench.clone(), flash)),
-            6 => Box::new(GageBoard::<6, { higher_moment_count(6) }>::new(bench.clone(), flash)),
-            7 => Box::new(GageBoard::<7, { higher_moment_count(7) }>::new(bench.clone(), flash)),
-            8 => Box::new(GageBoard::<8, { higher_moment_count(8) }>::new(bench.clone(), flash)),
+            2 => Box::new(GageBoard::<2, { higher_moment_count(2) }>::new(on, at, flash)),
+            3 => Box::new(GageBoard::<3, { higher_moment_count(3) }>::new(on, at, flash)),
+            4 => Box::new(GageBoard::<4, { higher_moment_count(4) }>::new(on, at, flash)),
+            5 => Box::new(GageBoard::<5, { higher_moment_count(5) }>::new(on, at, flash)),
+            6 => Box::new(GageBoard::<6, { higher_moment_count(6) }>::new(on, at, flash)),
+            7 => Box::new(GageBoard::<7, { higher_moment_count(7) }>::new(on, at, flash)),
+            8 => Box::new(GageBoard::<8, { higher_moment_count(8) }>::new(on, at, flash)),
             _ => return Err(UnsupportedGages { gages }),
         };
-        Ok(Self { board, bench, baud: DEFAULT_BAUD })
+        Ok(Self { board, bench, panel, baud: DEFAULT_BAUD })
     }
 
     /// The bench under the board: to hang loads, turn the sensor and play faults while a client talks to the board.
     pub fn bench(&self) -> SharedBench {
         self.bench.clone()
+    }
+
+    /// The button and the light of the board: to press the one and to see the other while a client talks to the board.
+    pub fn panel(&self) -> SharedPanel {
+        self.panel.clone()
     }
 
     /// The board alone.
@@ -195,10 +204,11 @@ struct GageBoard<const GAGES: usize, const HIGHER: usize> {
     dropped_samples: u32,
     batcher: Batcher,
     line: Line,
+    panel: SharedPanel,
 }
 
 impl<const GAGES: usize, const HIGHER: usize> GageBoard<GAGES, HIGHER> {
-    fn new(bench: SharedBench, flash: SimulatedFlash) -> Self {
+    fn new(bench: SharedBench, panel: SharedPanel, flash: SimulatedFlash) -> Self {
         let store = Box::new(Bins::new());
         let mut keeper = Keeper::new(flash);
         let mut polled = PolledSensor::new(bench.clone(), store, ClockSource::Simulated);
@@ -216,6 +226,7 @@ impl<const GAGES: usize, const HIGHER: usize> GageBoard<GAGES, HIGHER> {
             dropped_samples: 0,
             batcher: Batcher::new(),
             line: Line::new(),
+            panel,
         }
     }
 
@@ -308,6 +319,7 @@ impl<const GAGES: usize, const HIGHER: usize> Board for GageBoard<GAGES, HIGHER>
             self.next_tick = DeviceTime::from_micros(now.as_micros() + TICK_MICROS);
             let moment = self.polled.tick(now, &mut VirtualDelay { bench: &self.bench });
             self.stream(moment);
+            self.panel.set_light(self.polled.sensor.attend_panel(now, self.panel.is_pressed()));
             self.watch_host(now);
         }
         if let Some((id, mut job)) = self.solving.take() {
@@ -318,6 +330,10 @@ impl<const GAGES: usize, const HIGHER: usize> Board for GageBoard<GAGES, HIGHER>
         if let Some((id, job)) = self.storing.take() {
             let response = self.polled.sensor.finish_storing(self.keeper.run(&job));
             self.respond(id, response);
+        }
+        if let Some(task) = self.polled.sensor.field_task(self.now()) {
+            let done = task.run(&mut self.keeper);
+            self.polled.sensor.finish_field(done, self.now());
         }
         self.keeper.attend(self.now(), &mut self.polled.sensor);
         let announced = self.bench.with(Bench::next_conversion);

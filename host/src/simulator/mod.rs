@@ -15,6 +15,7 @@
 //! | [`mod@bench`] | all of these together, one conversion at a time |
 //! | [`bus`] | the bench as a driver sees it: an SPI device |
 //! | [`board`] | the firmware's application on top of the bench |
+//! | [`panel`] | the board's button and light |
 //! | [`flash`] | what the board keeps across a reset, in a file if need be |
 //! | `line` | the serial line between that board and the host |
 //! | [`tunnel`] | the bench and the flash as the emulator's |
@@ -36,6 +37,7 @@ pub mod flash;
 mod line;
 pub mod motion;
 pub mod operator;
+pub mod panel;
 #[cfg(unix)]
 pub mod pseudo_terminal;
 pub mod scenario;

@@ -22,6 +22,7 @@
 //! | [`uncertainty`] | how well shape and bias are known | design § 4 |
 //! | [`coverage`] | what is still to be seen, and which way to turn the load for it | design § 4 |
 //! | [`calibration`] | calibration matrix of a shape | eq. 5 |
+//! | [`reorientation`] | a new trial in the frame of the calibration that there is | design § 8 |
 //! | [`application`] | raw codes to wrench, in real time | eq. 1 |
 //! | [`parity`] | whether the gages agree, which one does not, and the wrench without it | design § 8 |
 //!
@@ -46,6 +47,7 @@ pub mod motion_moments;
 pub mod parity;
 pub mod projection;
 mod quadric;
+pub mod reorientation;
 pub mod rest_noise;
 pub mod shape;
 mod square;

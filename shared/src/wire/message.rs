@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::diagnosis::Diagnosis;
+use super::field::FieldReport;
 use super::health_message::{HealthRequest, HealthResponse};
 use super::memory::{Identity, MemoryRequest};
 use super::report::{CodesFrame, Coverage, Output, Solution, Status, TrialStatus};
@@ -96,6 +97,8 @@ pub enum Request {
     /// Change to this baud rate, once the response has left. The sensor goes back to the rate before where it hears nothing at
     /// the new one for a second.
     ChangeRate(u32),
+    /// What of calibrations in the field, with no host? Answered by [`Response::Field`].
+    ReadField,
 }
 
 /// What the sensor sends unasked.
@@ -138,6 +141,8 @@ pub enum Response {
     Health(HealthResponse),
     /// At which rate wrenches go out.
     Output(Output),
+    /// What has come of calibrations in the field.
+    Field(FieldReport),
 }
 
 /// Why a request is not served.

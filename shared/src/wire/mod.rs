@@ -13,6 +13,7 @@
 //! numbered by their position: new ones go to the end.
 
 mod diagnosis;
+mod field;
 pub mod frame;
 pub mod health;
 mod health_message;
@@ -22,6 +23,9 @@ mod report;
 mod wrench;
 
 pub use diagnosis::{Diagnosis, Failure, MAX_FILE_NAME, ResetCause};
+pub use field::{
+    CalibrationOrigin, FieldComparison, FieldOutcome, FieldPhase, FieldRefusal, FieldReport, Renewed,
+};
 pub use health_message::{
     Found, HealthReport, HealthRequest, HealthResponse, LoadLimits, LoadThreshold, MAX_OUTCOMES,
     ParityReport, PlayedFault, SelfTestOutcome, SelfTestPhase, SelfTestReport, TarePhase, TareRefusal,
