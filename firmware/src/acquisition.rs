@@ -1,6 +1,6 @@
 //! Acquisition: a converter that is started, watched and, when it fails, started again.
 //!
-//! Nothing here waits for the converter. It announces its conversions; when it does not for [`OVERDUE_PERIODS`], it counts as
+//! Nothing here waits for the converter. It announces its conversions; when it does not for `OVERDUE_PERIODS`, it counts as
 //! silent, and produces no sample until it is heard again. When it is silent for longer, or when eight replies in a row are
 //! corrupted, it is started anew, twice a second.
 //!
@@ -9,7 +9,7 @@
 //! A conversion whose codes are all those of the one before, bit by bit, is no conversion, whatever its data-ready bits say. It may
 //! be chance, where there are few gages; it may be the first reply of a converter that from now on answers one frame late,
 //! with codes that look as good as any. So it is thrown away, and with it every other until the converter has said who it is in
-//! the frame in which it must. It is asked so every [`QUESTION_MICROS`] besides, for whatever is not told by a repetition.
+//! the frame in which it must. It is asked so every `QUESTION_MICROS` besides, for whatever is not told by a repetition.
 
 use embedded_hal::delay::DelayNs;
 use embedded_hal::spi::SpiDevice;

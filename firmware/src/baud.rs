@@ -1,7 +1,7 @@
 //! The divisors that make a baud rate of a clock, or the finding that none does.
 //!
 //! A USART samples each bit 16 times, or 8 times where the clock is too slow for that, and divides its clock by a whole number
-//! of samples: the rate is clock/n with n ≥ 16, or n ≥ 8. What comes out may be off by as much as [`LARGEST_ERROR_PER_MILLE`];
+//! of samples: the rate is clock/n with n ≥ 16, or n ≥ 8. What comes out may be off by as much as `LARGEST_ERROR_PER_MILLE`;
 //! receiver and sender together may be off by 3.3 % (reference manual RM0090, table 143), and the other end's clock is good to a
 //! fraction of a per cent.
 //!

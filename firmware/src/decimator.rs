@@ -2,7 +2,7 @@
 //!
 //! Every D-th wrench alone would fold whatever vibrates above half the output rate into the band that is left. So each sample of
 //! the output is a weighted mean of [`OVERLAP`]·D − 1 samples of the input around its time. The weights are a windowed sinc: the
-//! ideal low-pass of half the output rate, under a Kaiser window of shape β = [`SHAPE`]. With f the output rate:
+//! ideal low-pass of half the output rate, under a Kaiser window of shape β = `SHAPE`. With f the output rate:
 //!
 //! | frequencies | |
 //! |---|---|
@@ -21,7 +21,7 @@
 //! an axis, and each input costs the same, some 300 instructions. (`idsp`, whose half-band cascades take fewer operations on
 //! average, keeps the history of every stage for every axis, and does the work of all stages at once at every D-th input.)
 //!
-//! Weights for every D are taken from one table, the window sampled at [`GRID`] points an output period. Sums are in single
+//! Weights for every D are taken from one table, the window sampled at `GRID` points an output period. Sums are in single
 //! precision: n additions are off by at most n·2⁻²⁴ of the largest value.
 //!
 //! # What is not a wrench

@@ -9,7 +9,7 @@
 //!             ───Report: all that is known of it───────┴ RemoteConverter, in the sensor
 //! ```
 //!
-//! Orders and report change hands together ([`RemoteConverter::exchange`]). Whatever needs a start of the converter begins a new **era**,
+//! Orders and report change hands together (`RemoteConverter::exchange`). Whatever needs a start of the converter begins a new **era**,
 //! and a reading bears the era in which it was made: what was read before an order is never taken for what came of it.
 
 use embedded_hal::spi::SpiDevice;

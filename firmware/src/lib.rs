@@ -27,7 +27,7 @@
 //! | [`trial::SolveJob::solve`] | a trial is to be solved | lowest priority, in the background |
 //! | [`sensor::Sensor::attend_panel`] | every few milliseconds | timer |
 //! | [`field::FieldTask::run`] | a calibration in the field has something to compute or to store | lowest priority, in the background |
-//! | [`storage::job::StoreJob::run`] | something is to be stored | lowest priority, in the background |
+//! | [`storage::keeper::Keeper::run`] | something is to be stored | lowest priority, in the background |
 #![no_std]
 
 pub mod acquisition;

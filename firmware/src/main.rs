@@ -20,6 +20,9 @@
 //! the next conversion is due is counted as late. The memory is `idle`'s alone. Queues between two tasks need no lock. A sample of
 //! the stream that finds its queue full is dropped and counted.
 //!
+//! **What is not inlined.** Whatever `session` and `idle` do in turn is in functions of its own, so that only what runs has its frame on the
+//! stack: the largest of them would else lie under every interrupt, and under the solution of a trial.
+//!
 //! TIM6 and TIM7 are used for their interrupts only; the timers themselves stand still.
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
@@ -123,6 +126,7 @@ mod app {
 
     impl Conversation {
         /// The next frame of the stream that is due.
+        #[inline(never)]
         fn next_of_stream(&mut self) -> Option<ToHost> {
             let line_is_idle = self.outbox.is_idle();
             self.batcher.next(time_base::now(), line_is_idle, || self.moments.dequeue())
@@ -348,6 +352,7 @@ mod app {
     }
 
     /// Has the sensor answer; `None` where the answer takes time and comes as the outcome of a job.
+    #[inline(never)]
     fn serve(context: &mut session::Context<'_>, id: RequestId, request: Request) -> Option<Response> {
         let now = time_base::now();
         let is_new_stream = matches!(request, Request::Stream(_));
@@ -380,29 +385,73 @@ mod app {
         let idle::SharedResources { sensor, mut job, mut store_job, requests, mut outcome, vitality, .. } =
             context.shared;
         let mut access = Access { sensor, requests: Some(requests) };
-        let found = keeper.start(&mut access);
-        access.sensor.lock(|sensor| sensor.restore(found));
+        restore(keeper, &mut access);
         loop {
             vitality.report(Task::Background);
-            let (id, response) = if let Some((id, mut job)) = job.lock(Option::take) {
-                let response = job.response();
-                access.sensor.lock(|sensor| sensor.finish_solving(job));
-                (id, response)
-            } else if let Some((id, job)) = store_job.lock(Option::take) {
-                let stored = keeper.run(&job);
-                (id, access.sensor.lock(|sensor| sensor.finish_storing(stored)))
-            } else if let Some(task) = access.sensor.lock(|sensor| sensor.field_task(time_base::now())) {
-                let done = task.run(keeper);
-                access.sensor.lock(|sensor| sensor.finish_field(done, time_base::now()));
-                continue;
-            } else {
+            let is_done = solve(&mut job, &mut access.sensor, &mut outcome)
+                || store(&mut store_job, keeper, &mut access.sensor, &mut outcome);
+            if is_done {
+                rtic::pend(Interrupt::TIM7);
+            } else if !calibrate_in_the_field(keeper, &mut access.sensor) {
                 keeper.attend(time_base::now(), &mut access);
                 cortex_m::asm::wfi();
-                continue;
-            };
-            outcome.lock(|outcome| *outcome = Some((id, response)));
-            rtic::pend(Interrupt::TIM7);
+            }
         }
+    }
+
+    /// Takes up what was kept before the reset.
+    #[inline(never)]
+    fn restore<SharedSensor, Requests>(
+        keeper: &mut Keeper<Flash>,
+        access: &mut Access<SharedSensor, Requests>,
+    ) where
+        SharedSensor: Mutex<T = Sensor<Store, GAGES, HIGHER>>,
+        Requests: Mutex,
+    {
+        let found = keeper.start(access);
+        access.sensor.lock(|sensor| sensor.restore(found));
+    }
+
+    /// Solves the trial that waits for it, if one does.
+    #[inline(never)]
+    fn solve(
+        job: &mut impl Mutex<T = Option<(RequestId, Job)>>,
+        sensor: &mut impl Mutex<T = Sensor<Store, GAGES, HIGHER>>,
+        outcome: &mut impl Mutex<T = Option<(RequestId, Response)>>,
+    ) -> bool {
+        let Some((id, mut job)) = job.lock(Option::take) else { return false };
+        let response = job.response();
+        sensor.lock(|sensor| sensor.finish_solving(job));
+        outcome.lock(|outcome| *outcome = Some((id, response)));
+        true
+    }
+
+    /// Stores what waits for it, if anything does.
+    #[inline(never)]
+    fn store(
+        store_job: &mut impl Mutex<T = Option<(RequestId, StoreJob)>>,
+        keeper: &mut Keeper<Flash>,
+        sensor: &mut impl Mutex<T = Sensor<Store, GAGES, HIGHER>>,
+        outcome: &mut impl Mutex<T = Option<(RequestId, Response)>>,
+    ) -> bool {
+        let Some((id, job)) = store_job.lock(Option::take) else { return false };
+        let stored = keeper.run(&job);
+        let response = sensor.lock(|sensor| sensor.finish_storing(stored));
+        outcome.lock(|outcome| *outcome = Some((id, response)));
+        true
+    }
+
+    /// Goes one step on with a calibration in the field, if there is one to be made.
+    #[inline(never)]
+    fn calibrate_in_the_field(
+        keeper: &mut Keeper<Flash>,
+        sensor: &mut impl Mutex<T = Sensor<Store, GAGES, HIGHER>>,
+    ) -> bool {
+        let task = sensor.lock(|sensor| sensor.field_task(time_base::now()));
+        let Some(task) = task else { return false };
+        let done = task.run(keeper);
+        sensor.lock(|sensor| sensor.finish_field(done, time_base::now()));
+        true
     }
 
     /// The way of `idle` to the trial: it holds up the sample path for a glance, and requests for as long as it has the sums.

@@ -189,6 +189,7 @@ where
     }
 
     /// Serves one request.
+    #[inline(never)]
     pub fn answer(
         &mut self,
         request: Request,
@@ -304,6 +305,9 @@ where
             basis: self.health.basis(),
             measurement,
         };
+        if self.decimator.decimation() == Decimation::By1 {
+            return Some(Moment::Wrench(moment));
+        }
         self.decimator.push(&moment).map(Moment::Wrench)
     }
 
@@ -349,6 +353,7 @@ where
     }
 
     /// Takes a calibration into use. The one before stays in use where the new one is refused.
+    #[inline(never)]
     fn load(&mut self, upload: CalibrationUpload) -> Result<(), Rejection> {
         let gain = self.converter.settings().gain;
         let same = |loaded: &LoadedCalibration<GAGES>| loaded.upload == upload && loaded.gain == gain;
@@ -380,6 +385,7 @@ where
         }
     }
 
+    #[inline(never)]
     fn status(&self, now: DeviceTime, link: LinkCounters) -> Status {
         let counters = self.converter.counters();
         let settings = self.converter.settings();

@@ -99,6 +99,7 @@ impl Session {
     }
 
     /// Takes one byte from the host. A broken frame is counted and otherwise ignored: the host repeats what is not answered.
+    #[inline(never)]
     pub fn on_byte(&mut self, byte: u8, now: DeviceTime) -> Option<Order> {
         let Ok(message) = self.decoder.push(byte)? else {
             self.broken_frames = self.broken_frames.wrapping_add(1);

@@ -1,9 +1,9 @@
-//! The power is cut at random instants while the image in the emulator writes to its memory, 200 times: none leaves a board without
-//! a valid calibration, old or new.
+//! The power is cut at random instants while the image in the emulator writes to its memory, 200 times with `tests/power_cuts`, and a
+//! tenth as often with every `tests/run`: none leaves a board without a valid calibration, old or new.
 //!
 //! To end the emulator is to cut its power: its flash is a file, written word by word, and the word under way stays torn.
 //!
-//! | lives | what is under way when the power fails |
+//! | lives of 200 | what is under way when the power fails |
 //! |---|---|
 //! | 3 × 50 | stores and rollbacks; in every other life a sector is so full that the first of them erases one |
 //! | 2 × 22 | a trial's start, with its erase, and the record of one that was stopped |
@@ -12,6 +12,7 @@
 //! Several boards live at the same time: they wait most of it.
 #![cfg(unix)]
 
+use std::env;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -38,12 +39,26 @@ use rand::{Rng, RngExt};
 
 use ftcal_tests::random;
 
-/// Boards that store, and lives of each.
+/// Boards that store.
 const STORING: u64 = 3;
-const STORING_LIVES: u32 = 50;
-/// Lives of boards whose trial is stopped, and of boards whose trial runs.
-const STOPPED_LIVES: u32 = 22;
-const RUNNING_LIVES: u32 = 6;
+
+/// How many lives each board has.
+struct Lives {
+    /// Of each that stores.
+    storing: u32,
+    /// Of each whose trial is stopped.
+    stopped: u32,
+    /// Of the one whose trial runs.
+    running: u32,
+}
+
+/// 200 in all.
+const ALL: Lives = Lives { storing: 50, stopped: 22, running: 6 };
+/// A tenth of them.
+const SOME: Lives = Lives { storing: 4, stopped: 3, running: 2 };
+
+/// Asks for all of them.
+const ALL_WANTED: &str = "FTCAL_ALL_POWER_CUTS";
 
 /// When the power fails at the latest, in terms of how long it takes what is under way to end.
 const LATEST_CUT: f64 = 1.5;
@@ -256,7 +271,7 @@ fn kept(client: &mut Client<SerialTransport>) -> (KeptCalibration, Option<Calibr
 }
 
 /// The power fails while a board stores and rolls back.
-fn store_through_cuts(seed: u64) {
+fn store_through_cuts(seed: u64, lives: u32) {
     let mut rng = random(seed);
     let folder = tempfile::tempdir().unwrap();
     let full = about_to_erase(folder.path());
@@ -264,7 +279,7 @@ fn store_through_cuts(seed: u64) {
     let current = calibration(1).identity;
     let mut may_be = Candidates { before: current, after: current };
     let mut latest = Duration::ZERO;
-    for cut in 0..STORING_LIVES {
+    for cut in 0..lives {
         if cut % 2 == 0 {
             fs::write(&file, &full).unwrap();
             may_be = Candidates { before: current, after: current };
@@ -355,12 +370,13 @@ fn try_through_cuts(seed: u64, lives: u32, is_stopped: bool) {
 #[test]
 #[ignore = "needs the images and the emulator: tests/run provides both"]
 fn no_power_cut_leaves_a_board_without_a_valid_calibration() {
+    let Lives { storing, stopped, running } = if env::var_os(ALL_WANTED).is_some() { ALL } else { SOME };
     thread::scope(|scope| {
         for seed in 0..STORING {
-            scope.spawn(move || store_through_cuts(seed));
+            scope.spawn(move || store_through_cuts(seed, storing));
         }
-        scope.spawn(|| try_through_cuts(STORING, STOPPED_LIVES, true));
-        scope.spawn(|| try_through_cuts(STORING + 1, STOPPED_LIVES, true));
-        scope.spawn(|| try_through_cuts(STORING + 2, RUNNING_LIVES, false));
+        scope.spawn(move || try_through_cuts(STORING, stopped, true));
+        scope.spawn(move || try_through_cuts(STORING + 1, stopped, true));
+        scope.spawn(move || try_through_cuts(STORING + 2, running, false));
     });
 }

@@ -1,6 +1,6 @@
 //! The button: what somebody means by it, out of whether its contact is closed.
 //!
-//! A contact bounces for some milliseconds, and picks up noise: what does not last [`BOUNCE_MICROS`] is nothing. A press is
+//! A contact bounces for some milliseconds, and picks up noise: what does not last `BOUNCE_MICROS` is nothing. A press is
 //! **long** as soon as it has lasted [`LONG_MICROS`], and **short** when it ends before that. Nothing is told of a button that was
 //! pressed already when the sensor started, until it was released: one that is stuck, or whose wire has a short circuit, starts
 //! nothing.

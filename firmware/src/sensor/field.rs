@@ -44,6 +44,7 @@ where
     }
 
     /// What is to be done now in the background, if anything.
+    #[inline(never)]
     pub fn field_task(&mut self, now: DeviceTime) -> Option<FieldTask<Store, GAGES, HIGHER>> {
         match self.field.step {
             Step::Idle => None,
@@ -72,6 +73,7 @@ where
     }
 
     /// Takes up what came of a task.
+    #[inline(never)]
     pub fn finish_field(&mut self, done: FieldDone<Store, GAGES, HIGHER>, now: DeviceTime) {
         match done {
             FieldDone::Stored(stored) => self.field_stored(stored, now),

@@ -29,6 +29,7 @@ where
         self.health.set(StatusBit::PanicReset, diagnosis.failure.is_some());
     }
 
+    #[inline(never)]
     pub(super) fn answer_about_health(
         &mut self,
         request: HealthRequest,
@@ -80,6 +81,7 @@ where
     }
 
     /// Makes wrenches without a gage, or with all again.
+    #[inline(never)]
     fn carry_on(&mut self, gage: Option<u8>) -> Result<(), Rejection> {
         let data_rate = self.converter.settings().data_rate;
         let loaded = self.calibration.as_mut().ok_or(Rejection::Uncalibrated)?;

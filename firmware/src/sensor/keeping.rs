@@ -18,6 +18,7 @@ where
 {
     /// Takes up what was found after the reset: to be called once, as soon as the memory is read. The converter is set for the trial
     /// that goes on; else as was kept; else to the gain that the calibration was made at.
+    #[inline(never)]
     pub fn restore(&mut self, found: Found) {
         let mut settings = found.trial;
         let Ok(kept) = found.kept else {
@@ -61,6 +62,7 @@ where
 
     /// What a request asks of the memory. Nothing is asked of it while samples are streamed or summed up; see
     /// [`crate::storage::job`].
+    #[inline(never)]
     pub(super) fn store_job(&mut self, request: MemoryRequest) -> Result<StoreJob, Rejection> {
         self.require_nothing_stored(true)?;
         if self.stream != StreamKind::Off || self.trial.require_idle().is_err() {
@@ -80,6 +82,7 @@ where
     }
 
     /// Takes up what came of a [`StoreJob`], and says what to answer.
+    #[inline(never)]
     pub fn finish_storing(&mut self, stored: Stored) -> Response {
         self.storing = false;
         let served = match stored {

@@ -10,6 +10,7 @@ use super::checkpoint::{Checkpoints, TrialAccess};
 use super::items::{Name, Settings};
 use super::job::{StoreJob, Stored};
 use super::memory::{Kept, Memory, StorageError};
+use crate::trial::Trial;
 
 /// Memory and checkpoints, in one flash.
 #[derive(Debug)]
@@ -34,6 +35,7 @@ impl<Flash: NorFlash> Keeper<Flash> {
     }
 
     /// Reads what was kept, and goes on with a trial that a reset has interrupted. To be called once, at the start.
+    #[inline(never)]
     pub fn start<Store, Access, const GAGES: usize, const HIGHER: usize>(
         &mut self,
         access: &mut Access,
@@ -43,12 +45,16 @@ impl<Flash: NorFlash> Keeper<Flash> {
         Access: TrialAccess<Store, GAGES, HIGHER>,
     {
         let kept = self.memory.start();
-        // A trial whose checkpoints cannot be read is none.
-        let trial = self.checkpoints.resume(self.memory.flash(), access).unwrap_or_default();
+        let trial = self.checkpoints.resume(self.memory.flash(), access).unwrap_or_else(|_| {
+            // Nobody knows whether there was a trial. If there was, it is lost.
+            access.with(Trial::note_loss);
+            None
+        });
         Found { kept, trial }
     }
 
     /// Makes a checkpoint of the trial if one is due. To be called again and again.
+    #[inline(never)]
     pub fn attend<Store, Access, const GAGES: usize, const HIGHER: usize>(
         &mut self,
         now: DeviceTime,
@@ -61,6 +67,7 @@ impl<Flash: NorFlash> Keeper<Flash> {
     }
 
     /// Does a job.
+    #[inline(never)]
     pub fn run(&mut self, job: &StoreJob) -> Stored {
         let memory = &mut self.memory;
         let done = match job {

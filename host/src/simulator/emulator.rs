@@ -12,7 +12,8 @@
 //! QEMU notices only after up to a second that a program has opened the pseudo-terminal; what the board sends while none
 //! has it open is lost. A program that has it open and does not read stops the board, for the emulated serial port waits.
 
-use std::io::{self, BufRead, BufReader, pipe};
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Write, pipe};
 use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
@@ -59,6 +60,8 @@ pub struct Emulator {
     flash: SimulatedFlash,
     link: PathBuf,
     tunnel: Option<JoinHandle<io::Result<()>>>,
+    /// Takes what QEMU says until it ends.
+    words: Option<JoinHandle<io::Result<u64>>>,
 }
 
 impl Emulator {
@@ -128,8 +131,15 @@ impl Emulator {
         })?;
         // From here on the machine is stopped whatever happens.
         let mut board_flash = flash.clone();
-        let mut emulator = Self { machine, flash, link: PathBuf::new(), tunnel: None };
-        emulator.link = link_path(BufReader::new(words))?;
+        let mut emulator = Self { machine, flash, link: PathBuf::new(), tunnel: None, words: None };
+        let mut words = BufReader::new(words);
+        emulator.link = link_path(&mut words)?;
+        // QEMU before version 8 has the image's log follow its own words, whatever device the log was given.
+        let mut log: Box<dyn Write + Send> = match logs {
+            Some(path) => Box::new(File::options().create(true).append(true).open(path)?),
+            None => Box::new(io::sink()),
+        };
+        emulator.words = Some(thread::spawn(move || io::copy(&mut words, &mut log)));
         let reader = our_end.try_clone()?;
         emulator.tunnel =
             Some(thread::spawn(move || serve(reader, our_end, &mut converter, &mut board_flash, pace)));
@@ -152,6 +162,10 @@ impl Drop for Emulator {
             // The socket is closed with the machine, which ends the tunnel.
             let _ = tunnel.join();
         }
+        if let Some(words) = self.words.take() {
+            // The pipe is closed with the machine, too.
+            let _ = words.join();
+        }
     }
 }
 
@@ -163,7 +177,7 @@ fn log_device(logs: Option<&Path>) -> String {
 }
 
 /// Reads what QEMU says until it names the pseudo-terminal. Ends with the machine at the latest.
-fn link_path(words: impl BufRead) -> Result<PathBuf, EmulatorError> {
+fn link_path(words: &mut impl BufRead) -> Result<PathBuf, EmulatorError> {
     let mut said = String::new();
     for line in words.lines() {
         let line = line?;
@@ -186,12 +200,12 @@ mod tests {
     #[test]
     fn the_link_is_what_qemu_says_it_is() {
         let words = "a warning\nchar device redirected to /dev/pts/7 (label serial2)\n";
-        assert_eq!(link_path(words.as_bytes()).unwrap(), PathBuf::from("/dev/pts/7"));
+        assert_eq!(link_path(&mut words.as_bytes()).unwrap(), PathBuf::from("/dev/pts/7"));
     }
 
     #[test]
     fn an_emulator_that_ends_without_a_link_is_quoted() {
-        let error = link_path("could not load kernel\n".as_bytes()).unwrap_err();
+        let error = link_path(&mut "could not load kernel\n".as_bytes()).unwrap_err();
         assert!(matches!(&error, EmulatorError::NotStarting { words } if words == "could not load kernel\n"));
     }
 }

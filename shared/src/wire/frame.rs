@@ -44,6 +44,7 @@ pub type FrameBytes = heapless::Vec<u8, MAX_FRAME>;
 /// # Errors
 ///
 /// [`FrameError::TooLong`] where the message exceeds [`MAX_PAYLOAD`].
+#[inline(never)]
 pub fn encode<Message: Serialize>(message: &Message) -> Result<FrameBytes, FrameError> {
     let mut plain = [0_u8; MAX_PAYLOAD + CHECKSUM];
     let (room, _) = plain.split_at_mut(MAX_PAYLOAD);
