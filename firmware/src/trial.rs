@@ -214,7 +214,10 @@ where
     /// Goes on with a trial whose sums were restored, of so many samples.
     pub fn resume(&mut self, standing: Standing, samples: u64) {
         self.standing = standing;
-        self.standing.counts.taken = u32::try_from(samples).unwrap_or(u32::MAX);
+        let Counts { offered, taken, .. } = &mut self.standing.counts;
+        *taken = u32::try_from(samples).unwrap_or(u32::MAX);
+        // The counts were kept before the sums, and samples came meanwhile.
+        *offered = (*offered).max(*taken);
         self.resumption = Resumption::Resumed;
         self.note_checkpoint(samples);
     }

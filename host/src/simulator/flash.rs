@@ -115,7 +115,8 @@ impl SimulatedFlash {
         self.content.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn is_powered(&self) -> bool {
+    /// Whether the power is on.
+    pub(super) fn is_powered(&self) -> bool {
         self.powered.load(Ordering::Relaxed)
     }
 

@@ -88,7 +88,12 @@ pub fn serve(
                 }
                 Ok(FromBoard::Handled) => unhandled = None,
                 Ok(FromBoard::Flash(question)) => {
-                    send(&mut writer, &FromConverter::Flash(answer_of_flash(&question, flash)))?;
+                    let answer = answer_of_flash(&question, flash);
+                    if !flash.is_powered() {
+                        // A board whose power has failed hears nothing any more, least of all that its flash has.
+                        return Ok(());
+                    }
+                    send(&mut writer, &FromConverter::Flash(answer))?;
                 }
                 Err(RecvTimeoutError::Timeout) => {
                     let before = converter.now();
