@@ -69,25 +69,26 @@ impl Board {
                 self.session.rate_changed(baud, self.now);
                 response(&mut self.session, id, Response::Done)
             }
-            Order::Serve(id, request) => match self.polled.sensor.answer(request, self.now, LinkCounters::default())
-            {
-                Reaction::Respond(answer) => response(&mut self.session, id, answer),
-                Reaction::Diagnose => response(&mut self.session, id, Response::Done),
-                Reaction::Store(job) => {
-                    // This sensor's memory is defective; a trial needs none.
-                    let stored = match job {
-                        StoreJob::PrepareTrial { rank, .. } => Stored::Prepared { rank },
-                        _ => Stored::Failed(StorageError::Flash),
-                    };
-                    let answer = self.polled.sensor.finish_storing(stored);
-                    response(&mut self.session, id, answer)
+            Order::Serve(id, request) => {
+                match self.polled.sensor.answer(request, self.now, LinkCounters::default()) {
+                    Reaction::Respond(answer) => response(&mut self.session, id, answer),
+                    Reaction::Diagnose => response(&mut self.session, id, Response::Done),
+                    Reaction::Store(job) => {
+                        // This sensor's memory is defective; a trial needs none.
+                        let stored = match job {
+                            StoreJob::PrepareTrial { rank, .. } => Stored::Prepared { rank },
+                            _ => Stored::Failed(StorageError::Flash),
+                        };
+                        let answer = self.polled.sensor.finish_storing(stored);
+                        response(&mut self.session, id, answer)
+                    }
+                    Reaction::Solve(mut job) => {
+                        let answer = job.response();
+                        self.polled.sensor.finish_solving(job);
+                        response(&mut self.session, id, answer)
+                    }
                 }
-                Reaction::Solve(mut job) => {
-                    let answer = job.response();
-                    self.polled.sensor.finish_solving(job);
-                    response(&mut self.session, id, answer)
-                }
-            },
+            }
         }
     }
 
