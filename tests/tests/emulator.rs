@@ -192,6 +192,11 @@ fn a_trial_is_run_and_solved_and_wrenches_are_measured() {
     }
     let status = client.status().unwrap();
     assert_eq!((status.dropped_samples, status.broken_frames, client.broken_frames()), (0, 0, 0));
+
+    // For tests/speed: after a trial, its solution and a stream, with every interrupt on top of each.
+    let diagnosis = client.diagnosis().unwrap();
+    println!("stack_used {}", diagnosis.stack_used_bytes);
+    assert!(diagnosis.stack_used_bytes < diagnosis.stack_bytes);
 }
 
 #[test]
