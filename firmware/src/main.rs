@@ -65,7 +65,7 @@ mod app {
     use crate::board::link::{Link, LinkQueues, Outbox, is_changing_rate};
     use crate::board::panel::Panel;
     use crate::board::watchdog::Watchdog;
-    use crate::board::{Converter, DataReady, Flash, Start, set_up, time_base, wiring};
+    use crate::board::{Converter, DataReady, Flash, Start, catch_up, set_up, time_base, wiring};
 
     /// Gages on the converter.
     const GAGES: usize = 8;
@@ -298,6 +298,9 @@ mod app {
                 rtic::pend(Interrupt::TIM7);
             }
         });
+        if moments.is_empty() {
+            catch_up();
+        }
     }
 
     /// There is something to read, to answer or to send. One message at a time: the next is made when the one before is in
@@ -314,6 +317,9 @@ mod app {
         while context.local.conversation.is_ready() {
             let Some(message) = next_message(&mut context) else { break };
             context.local.conversation.outbox.put(&message);
+        }
+        if context.local.conversation.moments.is_empty() {
+            catch_up();
         }
         rtic::pend(Interrupt::USART3);
     }

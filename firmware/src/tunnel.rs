@@ -8,7 +8,7 @@
 //! | board | [`FromBoard::Transfer`] | while chip-select is low, these bytes go to the converter |
 //! | converter | [`FromConverter::Transferred`] | these came back; `number` is that of the question |
 //! | converter | [`FromConverter::DataReady`] | the data-ready line fell, at this time of the converter's clock |
-//! | board | [`FromBoard::Handled`] | the board has done what it does about a data-ready |
+//! | board | [`FromBoard::Handled`] | the board has caught up: what it makes of the last data-ready is on the host link's queue |
 //! | board | [`FromBoard::Flash`] | read, write or erase the flash, which the emulator has only for the image |
 //! | host | [`FromConverter::Flash`] | what was read; or that it is written or erased |
 //!

@@ -142,6 +142,7 @@ fn a_trial_is_run_and_solved_and_wrenches_are_measured() {
         streamed.push(next_codes(&mut client));
     }
     client.stream(StreamKind::Off).unwrap();
+    assert_eq!(client.status().unwrap().dropped_samples, 0);
     assert_eq!(streamed[0].index, trial.first);
     let taken = &streamed[..offered];
     let codes = |frame: &CodesFrame| -> [AdcCode; GAGES] { frame.codes.as_slice().try_into().unwrap() };

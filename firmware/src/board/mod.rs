@@ -44,7 +44,7 @@ mod carrier;
 #[cfg_attr(not(feature = "emulated"), path = "internal_flash.rs")]
 mod flash;
 
-pub(crate) use carrier::{Converter, DataReady};
+pub(crate) use carrier::{Converter, DataReady, catch_up};
 pub(crate) use flash::Flash;
 
 use cortex_m::peripheral::SYST;
