@@ -6,7 +6,7 @@
 use core::ops::DerefMut;
 
 use embedded_hal::delay::DelayNs;
-use embedded_hal::spi::SpiDevice;
+use embedded_hal::spi::{ErrorKind, ErrorType, Operation, SpiDevice};
 use ftcal_shared::estimation::bins::Bins;
 use ftcal_shared::units::DeviceTime;
 use ftcal_shared::wire::ClockSource;
@@ -14,6 +14,26 @@ use ftcal_shared::wire::ClockSource;
 use crate::acquisition::Acquisition;
 use crate::sensor::Sensor;
 use crate::stream::Moment;
+
+/// A bus with nothing on it: the converter of a sensor that needs none.
+pub struct EmptyBus;
+
+impl ErrorType for EmptyBus {
+    type Error = ErrorKind;
+}
+
+impl SpiDevice for EmptyBus {
+    fn transaction(&mut self, _operations: &mut [Operation<'_, u8>]) -> Result<(), ErrorKind> {
+        Err(ErrorKind::Other)
+    }
+}
+
+/// Waits for nothing: where time does not pass, or is somebody else's.
+pub struct NoDelay;
+
+impl DelayNs for NoDelay {
+    fn delay_ns(&mut self, _nanoseconds: u32) {}
+}
 
 /// A converter with `GAGES` of its channels in use, and the sensor that makes something of it.
 pub struct PolledSensor<Spi, Store, const GAGES: usize, const HIGHER: usize> {

@@ -127,8 +127,8 @@ where
         &mut self.trial
     }
 
-    /// Tells the converter what the sensor wants of it, and hears how it is. To be called at every tick, before [`Sensor::tick`], and after
-    /// whatever else the sensor was called for. The interrupt that reads the converter waits for this, so it is all that the two share.
+    /// Tells the converter what the sensor wants of it, and hears how it is. To be called at every tick, before [`Sensor::tick`].
+    /// The interrupt that reads the converter waits for this, so it is all that the two share.
     pub fn exchange<Spi: SpiDevice<u8>>(&mut self, acquisition: &mut Acquisition<Spi, GAGES>) {
         self.converter.exchange(acquisition);
     }

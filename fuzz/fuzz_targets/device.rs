@@ -3,9 +3,7 @@
 
 mod framed;
 
-use embedded_hal::delay::DelayNs;
-use embedded_hal::spi::{ErrorKind, ErrorType, Operation, SpiDevice};
-use ftcal_firmware::polled::PolledSensor;
+use ftcal_firmware::polled::{EmptyBus, NoDelay, PolledSensor};
 use ftcal_firmware::sensor::{LinkCounters, Reaction};
 use ftcal_firmware::session::{Order, Session};
 use ftcal_firmware::storage::job::{StoreJob, Stored};
@@ -20,25 +18,6 @@ use libfuzzer_sys::fuzz_target;
 
 const GAGES: usize = 4;
 const HIGHER: usize = higher_moment_count(GAGES);
-
-/// A bus with nothing on it.
-struct EmptyBus;
-
-impl ErrorType for EmptyBus {
-    type Error = ErrorKind;
-}
-
-impl SpiDevice for EmptyBus {
-    fn transaction(&mut self, _operations: &mut [Operation<'_, u8>]) -> Result<(), ErrorKind> {
-        Err(ErrorKind::Other)
-    }
-}
-
-struct NoDelay;
-
-impl DelayNs for NoDelay {
-    fn delay_ns(&mut self, _nanoseconds: u32) {}
-}
 
 struct Board {
     polled: PolledSensor<EmptyBus, Box<Bins<GAGES, HIGHER>>, GAGES, HIGHER>,

@@ -5,13 +5,11 @@
 
 use std::time::Duration;
 
-use embedded_hal::delay::DelayNs;
-use embedded_hal::spi::{ErrorKind, ErrorType, Operation, SpiDevice};
 use ftcal::link::client::Client;
 use ftcal::link::error::{ClientError, LinkError};
 use ftcal::link::frame::{Frame, Measured, WrenchSample};
 use ftcal::link::transport::{Transport, TransportError};
-use ftcal_firmware::polled::PolledSensor;
+use ftcal_firmware::polled::{EmptyBus, NoDelay, PolledSensor};
 use ftcal_firmware::sensor::{LinkCounters, Reaction};
 use ftcal_firmware::session::{Order, Session};
 use ftcal_firmware::storage::job::{StoreJob, Stored};
@@ -45,26 +43,7 @@ fn wrench(index: u32) -> [f32; MAX_DOF] {
     std::array::from_fn(|axis| ((mixed >> (3 * axis)) & 0x7ff) as f32 - 1000.0)
 }
 
-/// The sensor has no converter; the samples that it streams are made up.
-struct EmptyBus;
-
-impl ErrorType for EmptyBus {
-    type Error = ErrorKind;
-}
-
-impl SpiDevice for EmptyBus {
-    fn transaction(&mut self, _operations: &mut [Operation<'_, u8>]) -> Result<(), ErrorKind> {
-        Err(ErrorKind::Other)
-    }
-}
-
-struct NoDelay;
-
-impl DelayNs for NoDelay {
-    fn delay_ns(&mut self, _nanoseconds: u32) {}
-}
-
-/// The sensor at the end of the line, in virtual time.
+/// The sensor at the end of the line, in virtual time. It has no converter; the samples that it streams are made up.
 struct Device {
     polled: PolledSensor<EmptyBus, Box<Bins<GAGES, HIGHER>>, GAGES, HIGHER>,
     session: Session,

@@ -126,31 +126,19 @@ impl<Spi: SpiDevice<u8>> Ads131m08<Spi> {
     /// [`AdcFault::UnexpectedReset`], [`AdcFault::RegisterMismatch`] and [`AdcFault::UnexpectedReply`] the settings
     /// are in doubt and a new start is due.
     pub fn read_conversion(&mut self) -> Result<Conversion, AdcFault> {
-        self.read(false)
-    }
-
-    /// As [`Ads131m08::read_conversion`], with a frame that asks the converter who it is. The next read, whichever it is, makes sure
-    /// that it says so, and has no status.
-    ///
-    /// # Errors
-    /// As [`Ads131m08::read_conversion`]; the next read also reports [`AdcFault::WrongIdentity`], and
-    /// [`AdcFault::UnexpectedReply`] where the answer is not there in time.
-    pub fn read_conversion_and_ask(&mut self) -> Result<Conversion, AdcFault> {
-        self.read(true)
-    }
-
-    fn read(&mut self, ask: bool) -> Result<Conversion, AdcFault> {
         let mut codes = [AdcCode::ZERO; CHANNELS];
-        let status = self.read_codes(ask, &mut codes)?;
+        let status = self.read_codes(false, &mut codes)?;
         Ok(Conversion { status, codes })
     }
 
-    /// As [`Ads131m08::read_conversion`], or [`Ads131m08::read_conversion_and_ask`], for the sample path: the codes are written where they
-    /// are to be, and the status comes alone. To move a whole [`Conversion`] inside of a result costs as much as to check it.
+    /// As [`Ads131m08::read_conversion`], for the sample path: the codes are written where they are to be, and the status comes alone. To
+    /// move a whole [`Conversion`] inside of a result costs as much as to check it. With `ask` the frame asks the converter who it is; the
+    /// next read, whichever it is, makes sure that it says so, and has no status.
     ///
     /// # Errors
-    /// As those; the codes are undefined then.
-    pub(crate) fn read_codes(
+    /// As [`Ads131m08::read_conversion`]; the codes are undefined then. The read after a question also reports
+    /// [`AdcFault::WrongIdentity`], and [`AdcFault::UnexpectedReply`] where the answer is not there in time.
+    pub fn read_codes(
         &mut self,
         ask: bool,
         codes: &mut [AdcCode; CHANNELS],

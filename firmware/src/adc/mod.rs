@@ -34,7 +34,7 @@
 //!
 //! - *Step*: now and then a frame of continuous reading asks who the converter is; the next frame must say so, in the place of
 //!   the status. A converter that answers late, as one does that has lost step with its bus, is found by that alone: all else
-//!   that it says was true one conversion ago ([`Ads131m08::read_conversion_and_ask`]).
+//!   that it says was true one conversion ago ([`Ads131m08::read_codes`]).
 //!
 //! Nothing here loops on the converter's answer: each method sends a fixed number of frames.
 //!
@@ -73,10 +73,10 @@ type Word = [u8; 3];
 type Frame = [Word; FRAME_WORDS];
 
 /// Bytes in a frame.
-pub(crate) const FRAME_BYTES: usize = 3 * FRAME_WORDS;
+pub const FRAME_BYTES: usize = 3 * FRAME_WORDS;
 
-/// Puts the right checksum at the end of a frame from the converter whose words were changed.
-pub(crate) fn seal(frame: &mut [u8; FRAME_BYTES]) {
+/// Puts the right checksum at the end of a frame from the converter whose words were changed, or made up.
+pub fn seal(frame: &mut [u8; FRAME_BYTES]) {
     let (covered, sum) = frame.split_at_mut(FRAME_BYTES - 3);
     let (words, _) = covered.as_chunks::<3>();
     sum.copy_from_slice(&to_word(checksum::checksum(words)));

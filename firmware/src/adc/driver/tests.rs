@@ -15,7 +15,7 @@ use super::{Ads131m08, Conversion, settling_us};
 use crate::adc::checksum::checksum;
 use crate::adc::settings::{AdcSettings, ChannelMask, Input};
 use crate::adc::status::Status;
-use crate::adc::{FRAME_WORDS, Frame, to_word};
+use crate::adc::{CHANNELS, FRAME_WORDS, Frame, to_word};
 
 /// What one chip-select frame sends and receives.
 type Exchange = (Frame, Frame);
@@ -259,7 +259,8 @@ fn the_wait_covers_the_filters() {
 fn answer(response: u16) -> Result<Option<Status>, AdcFault> {
     let script = [(command(&[0xA000]), reply(HEALTHY)), (command(&[0x0000]), reply(response))];
     let mut adc = Ads131m08::new(mock(&script));
-    assert_eq!(adc.read_conversion_and_ask().map(|it| it.status), Ok(Some(Status::from_bits(HEALTHY))));
+    let status = adc.read_codes(true, &mut [AdcCode::ZERO; CHANNELS]);
+    assert_eq!(status, Ok(Some(Status::from_bits(HEALTHY))));
     let result = adc.read_conversion();
     assert!(
         result.is_err() || result.map(|it| it.codes) == Ok([AdcCode::from_be_bytes([0x12, 0x34, 0x56]); 8])

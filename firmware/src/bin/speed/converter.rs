@@ -3,16 +3,12 @@
 use core::cell::RefCell;
 use core::convert::Infallible;
 
-use crc::{CRC_16_IBM_3740, Crc};
 use embedded_hal::spi::{ErrorType, Operation, SpiDevice};
-use ftcal_firmware::adc::{CHANNELS, FRAME_WORDS};
+use ftcal_firmware::adc::{CHANNELS, FRAME_BYTES, seal};
 use ftcal_shared::units::AdcCode;
 
 /// Bytes of one frame.
-type Frame = [u8; 3 * FRAME_WORDS];
-
-/// The checksum of every frame (datasheet 8.3.12).
-const CHECKSUM: Crc<u16> = Crc::<u16>::new(&CRC_16_IBM_3740);
+type Frame = [u8; FRAME_BYTES];
 
 /// Locked, words of 24 bits, every channel's conversion is new.
 const STATUS: u16 = 0x81FF;
@@ -35,7 +31,7 @@ impl Converter {
     pub(crate) const fn new() -> Self {
         let mut registers = [0; 64];
         registers[0] = ID;
-        let blank = [0; 3 * FRAME_WORDS];
+        let blank = [0; FRAME_BYTES];
         Self { registers, response: STATUS, sent: blank, reply: blank, is_ready: false }
     }
 
@@ -71,9 +67,7 @@ impl Converter {
     fn seal(&mut self) {
         let [high, low] = self.response.to_be_bytes();
         self.reply[..3].copy_from_slice(&[high, low, 0]);
-        let covered = 3 * (FRAME_WORDS - 1);
-        let [high, low] = CHECKSUM.checksum(&self.reply[..covered]).to_be_bytes();
-        self.reply[covered..].copy_from_slice(&[high, low, 0]);
+        seal(&mut self.reply);
     }
 }
 

@@ -168,7 +168,6 @@ mod target {
         }
         bins.finish();
         let depth = stack::depth();
-        hprintln!("stack_sampling {}", stack::used() - depth);
         let mut solved = None;
         let ticks = ticks(|| solved = black_box(black_box(&*bins).solve(Rank::Spatial).ok()));
         hprintln!("solve {:.0}", counter.instructions(ticks));

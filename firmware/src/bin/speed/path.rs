@@ -5,11 +5,11 @@ use core::cell::RefCell;
 use core::hint::black_box;
 
 use cortex_m_semihosting::hprintln;
-use embedded_hal::delay::DelayNs;
 use embedded_hal::spi::SpiDevice;
 use ftcal_firmware::acquisition::Acquisition;
-use ftcal_firmware::adc::FRAME_WORDS;
+use ftcal_firmware::adc::FRAME_BYTES;
 use ftcal_firmware::handover::Reading;
+use ftcal_firmware::polled::NoDelay;
 use ftcal_firmware::sensor::{LinkCounters, Reaction, Sensor};
 use ftcal_firmware::storage::job::{StoreJob, Stored};
 use ftcal_firmware::stream::{Batcher, Moment};
@@ -31,12 +31,6 @@ const TRIAL_FROM: u32 = SAMPLES / 2;
 const SAMPLES_PER_TICK: u32 = 8;
 
 const RATE: DataRate = DataRate::Hz4000;
-
-struct NoDelay;
-
-impl DelayNs for NoDelay {
-    fn delay_ns(&mut self, _nanoseconds: u32) {}
-}
 
 /// Sum and maximum.
 #[derive(Default)]
@@ -78,7 +72,7 @@ pub(crate) fn measure(counter: &Counter, bins: &'static mut Bins<GAGES, HIGHER>)
     let (mut alone, mut with_trial, mut framing, mut held) =
         (Cost::default(), Cost::default(), Cost::default(), 0);
     let (mut bus, mut bare) = (Cost::default(), Bus(&converter));
-    let (mut received, sent) = ([0; 3 * FRAME_WORDS], [0; 3 * FRAME_WORDS]);
+    let (mut received, sent) = ([0; FRAME_BYTES], [0; FRAME_BYTES]);
     let mut wrenches = 0;
     for sample in 0..SAMPLES {
         if sample == TRIAL_FROM {
