@@ -5,7 +5,7 @@
 //! | host link | USART3, 921600 baud until told otherwise, 8N1 |
 //! | converter's bus | SPI2, mode 1, 21 MHz, with a chip select, active low |
 //! | converter's data-ready | EXTI line 5 to 9, falling edge |
-//! | the tunnel, in the emulated image instead of these two | USART2 |
+//! | the tunnel, in the emulated image instead of these two | USART2, TIM5 |
 //!
 //! Which pins these are on a board is in [`wiring`]. The converter's SYNC/RESET is tied high. Only peripherals of the slower bus,
 //! APB1, are in use: the emulator has no others that work.
@@ -112,8 +112,15 @@ pub(crate) fn set_up(device: Peripherals, mut systick: SYST, queues: LinkQueues)
     let (a, b) = (device.GPIOA.split(&mut rcc), device.GPIOB.split(&mut rcc));
     let pins = wiring::pins(a, b, device.GPIOC.split(&mut rcc));
     let link = Link::new(device.USART3, pins.link, queues, &mut rcc);
-    let (converter, data_ready) =
-        carrier::connect(device.SPI2, device.USART2, pins.converter, device.EXTI, device.SYSCFG, &mut rcc);
+    let (converter, data_ready) = carrier::connect(
+        device.SPI2,
+        device.USART2,
+        pins.converter,
+        device.EXTI,
+        device.SYSCFG,
+        device.TIM5,
+        &mut rcc,
+    );
     start_ticking(systick, &rcc);
     let link_clock_hertz = rcc.clocks.pclk1().raw();
     let flash = Flash::new(device.FLASH);

@@ -7,7 +7,7 @@ use embedded_hal_bus::spi::{DeviceError, ExclusiveDevice};
 use ftcal_shared::units::DeviceTime;
 use stm32f4xx_hal::gpio::alt::spi2;
 use stm32f4xx_hal::gpio::{AnyPin, Edge, ExtiPin, Input, Output, Pin, PinSpeed, PinState, Speed};
-use stm32f4xx_hal::pac::{EXTI, SPI2, SYSCFG, TIM2, USART2};
+use stm32f4xx_hal::pac::{EXTI, SPI2, SYSCFG, TIM2, TIM5, USART2};
 use stm32f4xx_hal::rcc::{BusClock, BusTimerClock, Clocks, Rcc};
 use stm32f4xx_hal::spi::{self, Spi, SpiExt};
 use stm32f4xx_hal::syscfg::SysCfgExt;
@@ -81,13 +81,14 @@ pub(super) fn timer_clock(clocks: &Clocks) -> Hertz {
     TIM2::timer_clock(clocks)
 }
 
-/// Connects the converter. (The serial line is the emulated carrier's.)
+/// Connects the converter. (The serial line and the timer are the emulated carrier's.)
 pub(super) fn connect(
     spi: SPI2,
     _usart: USART2,
     mut pins: Pins,
     mut exti: EXTI,
     syscfg: SYSCFG,
+    _timer: TIM5,
     rcc: &mut Rcc,
 ) -> (Converter, DataReady) {
     pins.clock.set_speed(Speed::VeryHigh);

@@ -19,19 +19,25 @@ use ftcal_shared::units::DeviceTime;
 use ftcal_shared::wire::frame::{Decoder, encode};
 use stm32f4xx_hal::gpio::PushPull;
 use stm32f4xx_hal::gpio::alt::usart2;
-use stm32f4xx_hal::pac::{EXTI, Interrupt, SPI2, SYSCFG, USART2, interrupt};
+use stm32f4xx_hal::pac::{EXTI, Interrupt, SPI2, SYSCFG, TIM5, USART2, interrupt};
+use stm32f4xx_hal::prelude::_fugit_ExtU32;
 use stm32f4xx_hal::rcc::{Clocks, Rcc};
 use stm32f4xx_hal::serial::config::Config;
 use stm32f4xx_hal::serial::{Rx, RxListen, SerialExt, Tx};
 use stm32f4xx_hal::time::{Bps, Hertz};
+use stm32f4xx_hal::timer::{CounterMs, Event, TimerExt};
+use stm32f4xx_hal::{ClearFlags, Listen};
 
 use super::time_base;
 
 /// The emulator does not care.
 const BAUD: u32 = 921_600;
 
-/// Looks at memory between two looks at the clock, which is a peripheral and takes the emulator a thousand times as long.
-const LOOKS: u32 = 1000;
+/// How often the line is asked to take a byte. The emulator's always does.
+const ATTEMPTS: u32 = 1000;
+
+/// Whoever waits looks at the clock at least this often.
+const ALARM_MILLIS: u32 = 20;
 
 /// The line, which the serial interrupt shares with both parts below.
 static LINE: Mutex<RefCell<Option<Line>>> = Mutex::new(RefCell::new(None));
@@ -46,6 +52,7 @@ struct Line {
     announced: Option<DeviceTime>,
     /// The other end has not heard yet that its announcement was handled.
     is_waited_for: bool,
+    alarm: CounterMs<TIM5>,
 }
 
 /// The tunnel's two wires.
@@ -145,19 +152,29 @@ pub(super) fn ask_flash(number: u8, action: FlashAction) -> Result<FlashBytes, T
 fn send(message: &FromBoard) -> Result<(), TunnelError> {
     let frame = encode(message).map_err(|_| TunnelError::TooLong)?;
     for &byte in &frame {
-        wait_for(|| with_line(|line| line.tx.write(byte).ok()).flatten())?;
+        let is_taken = (0..ATTEMPTS).any(|_| with_line(|line| line.tx.write(byte).is_ok()) == Some(true));
+        if !is_taken {
+            return Err(TunnelError::NoAnswer);
+        }
     }
     Ok(())
 }
 
-/// Looks for something, for at most [`ANSWER_MICROS`].
-fn wait_for<T>(mut look: impl FnMut() -> Option<T>) -> Result<T, TunnelError> {
+/// Looks for something, for at most [`ANSWER_MICROS`], and sleeps until the next interrupt where it is not there: an emulator that spins
+/// takes the time away from whoever is to answer.
+fn wait_for<T>(look: impl Fn() -> Option<T>) -> Result<T, TunnelError> {
     let begin = time_base::now().as_micros();
     loop {
-        for _ in 0..LOOKS {
-            if let Some(found) = look() {
-                return Ok(found);
+        // What comes between look and sleep is held back, and ends the sleep.
+        let found = critical_section::with(|_| {
+            let found = look();
+            if found.is_none() {
+                cortex_m::asm::wfi();
             }
+            found
+        });
+        if let Some(found) = found {
+            return Ok(found);
         }
         if time_base::now().as_micros() - begin > ANSWER_MICROS {
             return Err(TunnelError::NoAnswer);
@@ -177,6 +194,7 @@ pub(super) fn connect(
     pins: Pins,
     _exti: EXTI,
     _syscfg: SYSCFG,
+    timer: TIM5,
     rcc: &mut Rcc,
 ) -> (Converter, DataReady) {
     let config = Config::default().baudrate(Bps(BAUD));
@@ -185,6 +203,11 @@ pub(super) fn connect(
     };
     let (tx, mut rx) = serial.split();
     rx.listen();
+    let mut alarm = timer.counter_ms(rcc);
+    alarm.listen(Event::Update);
+    if alarm.start(ALARM_MILLIS.millis()).is_err() {
+        unreachable!("the timer counts milliseconds up to a minute");
+    }
     critical_section::with(|section| {
         LINE.replace(
             section,
@@ -196,18 +219,22 @@ pub(super) fn connect(
                 flash_answer: None,
                 announced: None,
                 is_waited_for: false,
+                alarm,
             }),
         );
     });
-    listen_to_interrupt();
+    listen_to_interrupts();
     (Converter { number: 0 }, DataReady { connected: () })
 }
 
-#[expect(unsafe_code, reason = "the interrupt is not among those that RTIC switches on")]
-fn listen_to_interrupt() {
-    // SAFETY: the handler shares nothing with RTIC's tasks but what is behind a critical section. Its priority is the
+#[expect(unsafe_code, reason = "the interrupts are not among those that RTIC switches on")]
+fn listen_to_interrupts() {
+    // SAFETY: the handlers share nothing with RTIC's tasks but what is behind a critical section. Their priority is the
     // highest, at which it was since the reset.
-    unsafe { NVIC::unmask(Interrupt::USART2) };
+    unsafe {
+        NVIC::unmask(Interrupt::USART2);
+        NVIC::unmask(Interrupt::TIM5);
+    }
 }
 
 fn with_line<T>(act: impl FnOnce(&mut Line) -> T) -> Option<T> {
@@ -229,4 +256,10 @@ fn USART2() {
             Some(Err(_)) | None => {}
         }
     });
+}
+
+/// Wakes whoever waits for an answer that does not come.
+#[interrupt]
+fn TIM5() {
+    with_line(|line| line.alarm.clear_all_flags());
 }
