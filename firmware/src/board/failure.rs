@@ -10,12 +10,12 @@
     reason = "the run-time demands it of the handlers of faults, and memory that it does not clear"
 )]
 
+use core::arch::naked_asm;
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
 use core::panic::PanicInfo;
 
 use cortex_m::peripheral::SCB;
-use cortex_m::register::msp;
 use cortex_m_rt::exception;
 use ftcal_firmware::black_box::{RECORD_BYTES, Record, open, seal};
 use ftcal_shared::wire::Failure;
@@ -65,21 +65,24 @@ fn panic(information: &PanicInfo<'_>) -> ! {
     give_up(&Failure::panic(file, line))
 }
 
-// SAFETY of both handlers: called by the processor alone; they leave by a reset, so what they interrupted does not matter.
-#[exception(trampoline = false)]
-unsafe fn HardFault() -> ! {
-    let frame = msp::read();
-    // A stack that has overflowed is none to work with. Nothing of it is needed any more but this address.
-    #[expect(deprecated, reason = "this function has put nothing on the stack, and does not return")]
-    // SAFETY: the whole stack is free from here on.
-    unsafe {
-        msp::write(stack::top());
-    }
-    fault(frame)
+/// A fault of the processor. A stack that has overflowed is none to work with, not even for a function's first instruction; so the stack is
+/// given up before anything else is done, but for the address of what the processor has put there.
+// SAFETY: called by the processor alone; it leaves by a reset, so what it interrupted does not matter, and the whole stack is free.
+#[unsafe(naked)]
+#[unsafe(export_name = "HardFault")]
+#[unsafe(link_section = ".HardFault.ftcal")]
+unsafe extern "C" fn hard_fault() -> ! {
+    naked_asm!(
+        "mrs r0, msp",
+        "movw r1, :lower16:_stack_start",
+        "movt r1, :upper16:_stack_start",
+        "msr msp, r1",
+        "b {fault}",
+        fault = sym fault,
+    )
 }
 
-#[inline(never)]
-fn fault(frame: u32) -> ! {
+extern "C" fn fault(frame: u32) -> ! {
     let counter = frame.wrapping_add(4 * PROGRAM_COUNTER);
     if !stack::contains(frame) {
         give_up(&Failure::StackOverflow);
@@ -89,6 +92,7 @@ fn fault(frame: u32) -> ! {
     give_up(&Failure::ProcessorFault { at })
 }
 
+// SAFETY: called by the processor alone; it leaves by a reset.
 #[exception]
 unsafe fn DefaultHandler(interrupt: i16) {
     give_up(&Failure::UnservedInterrupt { number: interrupt })

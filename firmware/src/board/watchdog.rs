@@ -4,10 +4,10 @@ use stm32f4xx_hal::pac::IWDG;
 use stm32f4xx_hal::prelude::_fugit_ExtU32;
 use stm32f4xx_hal::watchdog::IndependentWatchdog;
 
-/// Longer than anything takes that is in order: solving a trial beside a converter at full rate, or erasing a sector of the
-/// flash, which stops the processor for up to two seconds. Its oscillator may run at 17 to 47 kHz instead of 32: this is 2.7 to
-/// 7.5 seconds.
-const PERIOD_MILLISECONDS: u32 = 4_000;
+/// Longer than anything takes that is in order: solving a trial beside a converter at full rate, or erasing the two sectors of a flash
+/// that is new, which stops the processor for up to two seconds each. Its oscillator may run at 17 to 47 kHz instead of 32: this is
+/// 5.4 to 15 seconds.
+const PERIOD_MILLISECONDS: u32 = 8_000;
 
 /// The watchdog.
 pub(crate) struct Watchdog {
