@@ -12,7 +12,7 @@
 //!
 //! *Noise* is measured here, from differences of successive parities, which neither the load nor a drift moves. It is therefore that of
 //! this rate, this gain and this cable, which a calibration cannot know; but a sensor whose gage is noisy from the first second on
-//! takes that for its noise. It is learned from [`LEARNING`] samples, then followed slowly, and not at all while the gages contradict
+//! takes that for its noise. It is learned from [`LEARNING`] samples, anew where one of them makes up a fourth of it, then followed slowly, and not at all while the gages contradict
 //! each other. What is kept is its trace over all redundant directions, σ²: the gages are not equally noisy, and a sum of squares has
 //! its heaviest tail where all noise is in one direction, so limits from the χ² of one degree of freedom hold for every sensor.
 //! Chance alone exceeds 36σ² once in 5·10⁸ samples, the running mean 6σ² (about that of 15 squares) in 10¹² and a window's 5σ²/n
@@ -58,6 +58,10 @@ const RUNNING_WEIGHT: f32 = 1.0 / 8.0;
 
 /// Differences from which the noise is first learned.
 const LEARNING: u32 = 128;
+
+/// The largest part that one difference may have in what is learned first: of noise, one in a hundred million has as much, and a glitch of
+/// more than eight standard deviations has more.
+const LARGEST_PART: f32 = 0.25;
 
 /// Weight of one difference, one a block, in the noise followed: about four seconds.
 const NOISE_WEIGHT: f32 = 1.0 / 256.0;
@@ -108,6 +112,8 @@ struct Noise {
     variance: f32,
     per_variance: f32,
     learned: u32,
+    /// The largest square of those that it is first learned from.
+    largest: f32,
 }
 
 /// Limits before the signal's share, counts².
@@ -141,6 +147,10 @@ struct Verdict<const GAGES: usize> {
     off_counts: f32,
 }
 
+impl Noise {
+    const UNKNOWN: Self = Self { variance: 0.0, per_variance: 0.0, learned: 0, largest: 0.0 };
+}
+
 impl<const GAGES: usize> Window<GAGES> {
     const EMPTY: Self = Self { moments: [[0.0; GAGES]; GAGES], blocks: 0, signal: 0.0 };
 }
@@ -166,7 +176,7 @@ impl<const GAGES: usize> ParityMonitor<GAGES> {
             space,
             block,
             per_block: 1.0 / block as f32,
-            noise: Noise { variance: 0.0, per_variance: 0.0, learned: 0 },
+            noise: Noise::UNKNOWN,
             allowed: Allowed { sample: f32::INFINITY, running: f32::INFINITY },
             last: [0.0; GAGES],
             has_last: false,
@@ -252,12 +262,17 @@ impl<const GAGES: usize> ParityMonitor<GAGES> {
             self.has_last = true;
             return;
         }
-        let Noise { variance, per_variance, learned } = &mut self.noise;
+        let Noise { variance, per_variance, learned, largest } = &mut self.noise;
         if *learned < LEARNING {
             *learned += 1;
+            *largest = largest.max(squared / 2.0);
             // Up to LEARNING divisions after a calibration came; from then on there are none.
             *variance += (squared / 2.0 - *variance) / *learned as f32;
             if *learned < LEARNING {
+                return;
+            }
+            if *largest > LARGEST_PART * LEARNING as f32 * *variance {
+                self.noise = Noise::UNKNOWN;
                 return;
             }
             self.running = *variance;

@@ -188,6 +188,27 @@ fn a_gage_that_is_needed_cannot_be_left_out() {
     assert_eq!(rig.health(HealthRequest::Read).parity, None);
 }
 
+/// Nothing that comes while the noise is learned makes the monitor blind: a glitch is not learned, and a jump after it is found.
+#[test]
+fn a_glitch_is_not_learned_as_noise() {
+    let scenario = scenario(ScenarioKind::Wrist, 62);
+    let mut rig = Rig::<8, { higher_moment_count(8) }>::of(&scenario, 62, DataRate::Hz1000);
+    // A drift as fast as this is a jump.
+    let jump = |counts: f64| Fault::DriftingChannel { channel: 3, counts_per_second: 1000.0 * counts };
+    rig.ask(Request::Health(HealthRequest::CarryOn(None)));
+    rig.run(0.06);
+    assert!(rig.polled.sensor.status_word().contains(StatusBit::Unwatched), "is learning");
+    rig.bench.with(|bench| bench.inject(jump(1e6)));
+    rig.step();
+    rig.bench.with(Bench::clear_faults);
+    rig.run(0.4);
+    assert_eq!(rig.polled.sensor.status_word(), StatusWord::NONE, "is watching, and finds nothing");
+    rig.bench.with(|bench| bench.inject(jump(2e5)));
+    for measurement in rig.step().measurements {
+        assert_eq!(measurement, Measurement::Invalid(InvalidCause::GagesContradict));
+    }
+}
+
 /// An hour at 1000 samples a second. By the limits' own figures (see the monitor) a sample is lost by chance in 5·10⁸, and
 /// a gage is suspected in 10¹⁰ windows: in an hour 0.007 and 10⁻⁶ times.
 #[test]
