@@ -18,7 +18,8 @@
 //! | 5. "done" | head of the other sector |
 //!
 //! An erase that was begun and not done is begun again by [`Pages::recover`], before anything in the sector is looked at. A
-//! word that was torn counts as written: the step after it had not begun yet, and each step may be done twice. A sector is
+//! word that was torn counts as written: the step after it had not begun yet, and each step may be done twice. It is written once more
+//! before anybody relies on it, for a word that was torn need not read the same for ever. A sector is
 //! sealed by either of its two seals, so that one bad word does not cost what it holds; and it is never erased but
 //! on the word of the other one's head.
 
@@ -164,15 +165,23 @@ impl<'a, Flash: NorFlash> Pages<'a, Flash> {
     /// Where the journal tells of an erase of this side that has begun and is not done.
     fn unfinished(&mut self, side: Side) -> Result<Option<u32>, PagesError> {
         for entry in entries() {
-            let begun = self.read_word(side.other().start() + entry)? != ERASED;
-            if !begun {
+            if !self.is_marked(side.other().start() + entry)? {
                 return Ok(None);
             }
-            if self.read_word(side.other().start() + entry + WORD)? == ERASED {
+            if !self.is_marked(side.other().start() + entry + WORD)? {
                 return Ok(Some(entry));
             }
         }
         Ok(None)
+    }
+
+    /// Whether this word of the journal was written; one that was torn is, from now on, for good.
+    fn is_marked(&mut self, address: u32) -> Result<bool, PagesError> {
+        let word = self.read_word(address)?;
+        if word != ERASED && word != MARK {
+            self.write_word(address, MARK)?;
+        }
+        Ok(word != ERASED)
     }
 
     /// Where the journal has room for an erase of this side.
