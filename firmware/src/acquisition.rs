@@ -2,7 +2,8 @@
 //!
 //! Nothing here waits for the converter. It announces its conversions; when it does not for `OVERDUE_PERIODS`, it counts as
 //! silent, and produces no sample until it is heard again. When it is silent for longer, or when eight replies in a row are
-//! corrupted, it is started anew, twice a second.
+//! corrupted, it is started anew, twice a second. Conversions that passed meanwhile are lost, and counted when the next one comes: the
+//! numbers of samples go on as if each had been read.
 //!
 //! # A converter that repeats itself, or answers late
 //!
@@ -17,9 +18,10 @@ use ftcal_shared::fault::AdcFault;
 use ftcal_shared::units::{AdcCode, DeviceTime, SampleIndex};
 use ftcal_shared::wire::AdcState;
 
-use crate::adc::{Ads131m08, CHANNELS, ChannelMask, Input};
+use crate::adc::{Ads131m08, CHANNELS, ChannelMask, Input, Status};
 use crate::handover::{Orders, Reading, Report};
 use crate::health::{Injector, InputWatch, is_disturbance};
+use crate::tunnel::{ANSWER_MICROS, UNHANDLED_MICROS};
 
 /// Conversion periods without data-ready after which the converter counts as silent.
 const OVERDUE_PERIODS: u64 = 2;
@@ -29,7 +31,8 @@ const LEAST_OVERDUE_MICROS: u64 = if cfg!(feature = "emulated") { LEAST_SILENCE_
 
 /// Conversion periods without data-ready after which the converter is started anew, and the least of such a silence.
 const SILENCE_PERIODS: u64 = 10;
-const LEAST_SILENCE_MICROS: u64 = 100_000;
+const LEAST_SILENCE_MICROS: u64 =
+    if cfg!(feature = "emulated") { ANSWER_MICROS + UNHANDLED_MICROS + 100_000 } else { 100_000 };
 
 /// Between two questions who the converter is.
 const QUESTION_MICROS: u32 = 8_000;
@@ -37,7 +40,7 @@ const QUESTION_MICROS: u32 = 8_000;
 /// Corrupted replies in a row after which the bus counts as broken rather than disturbed.
 const LARGEST_CORRUPTED_RUN: u8 = 8;
 
-/// Time between two attempts to start a faulty converter.
+/// Time from the end of an attempt to start a faulty converter to the next.
 const RESTART_INTERVAL_MICROS: u64 = 500_000;
 
 /// One conversion of the gages in use.
@@ -64,6 +67,15 @@ pub struct ConversionCounters {
     pub overrun: u32,
 }
 
+/// When the converter was started last, whether that went well or not.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum LastStart {
+    /// Not since it was ordered.
+    Never,
+    SinceLastTick,
+    EndedBefore(DeviceTime),
+}
+
 /// The converter on its bus, with `GAGES` of its channels in use.
 pub struct Acquisition<Spi, const GAGES: usize> {
     adc: Ads131m08<Injector<Spi>>,
@@ -72,10 +84,10 @@ pub struct Acquisition<Spi, const GAGES: usize> {
     state: AdcState,
     counters: ConversionCounters,
     next_index: SampleIndex,
-    last_start: Option<DeviceTime>,
+    last_start: LastStart,
     /// When the last conversion since the start was read, or waiting for the first began.
     last_read: Option<DeviceTime>,
-    /// When the last conversion since the start was announced.
+    /// When the last conversion was announced, since the converter was last ordered to start.
     last_announced: Option<DeviceTime>,
     /// The converter fell silent, and has not been heard since, restarted or not.
     silent: bool,
@@ -101,7 +113,7 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
             state: AdcState::Starting,
             counters: ConversionCounters::default(),
             next_index: SampleIndex::default(),
-            last_start: None,
+            last_start: LastStart::Never,
             last_read: None,
             last_announced: None,
             silent: false,
@@ -121,15 +133,19 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
         }
     }
 
-    /// Does from now on as ordered, and reports. A new era begins with a start of the converter, at the next [`Acquisition::tick`].
+    /// Does from now on as ordered, and reports. Where a start was ordered, the next [`Acquisition::tick`] makes it.
     pub(crate) fn follow(&mut self, orders: Orders) -> Report {
         if orders.injection != self.orders.injection {
             self.adc.bus_mut().play(orders.injection);
         }
-        if orders.era != self.orders.era {
+        if orders.start != self.orders.start {
             self.state = AdcState::Starting;
             self.silent = false;
-            self.last_start = None;
+            self.last_start = LastStart::Never;
+            if self.last_announced.take().is_some() {
+                // What passes until it runs again was not to be read: it is a gap, but no loss.
+                self.next_index = self.next_index.next();
+            }
         }
         self.orders = orders;
         Report { state: self.state(), counters: self.counters, next_index: self.next_index }
@@ -144,13 +160,19 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
     /// Watches the converter and starts it where it is due. Takes some milliseconds when it starts the converter, during
     /// which there are no samples to miss; otherwise a few instructions.
     pub fn tick(&mut self, now: DeviceTime, delay: &mut impl DelayNs) {
+        if self.last_start == LastStart::SinceLastTick {
+            self.last_start = LastStart::EndedBefore(now);
+        }
         match self.state {
             AdcState::Running => self.check_silence(now),
             AdcState::Starting | AdcState::Faulty(_) => {
-                let due =
-                    self.last_start.is_none_or(|last| micros_since(now, last) >= RESTART_INTERVAL_MICROS);
-                if due {
-                    self.start(now, delay);
+                let is_due = match self.last_start {
+                    LastStart::Never => true,
+                    LastStart::SinceLastTick => false,
+                    LastStart::EndedBefore(tick) => micros_since(now, tick) >= RESTART_INTERVAL_MICROS,
+                };
+                if is_due {
+                    self.start(delay);
                 }
             }
         }
@@ -191,22 +213,24 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
     }
 
     /// Reads the newest conversion, and which gages repeat themselves. The converter keeps up to two conversions for a reader that is
-    /// late; after a pause the older one is thrown away, or every sample from then on would be one conversion old.
+    /// late. After a pause, or where a read has failed, the older one is passed over, or every sample from then on would be one
+    /// conversion old.
     fn read(&mut self, announced: DeviceTime, sample: &mut Sample<GAGES>) -> Result<(), AdcFault> {
         let mut codes = [AdcCode::ZERO; CHANNELS];
-        if self.count_lost_before(announced) > 0 {
-            self.after_gap = true;
-            self.adc.read_codes(false, &mut codes)?;
-        }
-        let ask = self.is_to_be_asked();
-        match self.adc.read_codes(ask, &mut codes)? {
-            // It was asked who it is, and has said so in time.
-            None => self.in_doubt = false,
-            // Without its data-ready bit a code is the one before, once more.
-            Some(status) if !status.data_ready().contains(Self::CHANNELS) => {
-                return Err(AdcFault::StaleConversion);
+        let is_late = self.count_lost_before(announced) > 0;
+        self.after_gap |= is_late;
+        // A frame that was not read well may have left in the converter what it was to carry.
+        let may_lag = self.corrupted_run > 0 && !self.in_doubt;
+        if is_late || may_lag {
+            self.read_past_backlog(&mut codes)?;
+        } else {
+            let ask = self.is_to_be_asked();
+            match self.adc.read_codes(ask, &mut codes)? {
+                // It was asked who it is, and has said so in time.
+                None => self.in_doubt = false,
+                Some(status) if !Self::is_new(status) => return Err(AdcFault::StaleConversion),
+                Some(_) => {}
             }
-            Some(_) => {}
         }
         for (code, read) in sample.codes.iter_mut().zip(&codes) {
             *code = *read;
@@ -224,6 +248,34 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
         if self.in_doubt { Err(AdcFault::StaleConversion) } else { Ok(()) }
     }
 
+    /// The newer of what the converter keeps: the second frame where that is new, else the first.
+    #[cold]
+    fn read_past_backlog(&mut self, codes: &mut [AdcCode; CHANNELS]) -> Result<(), AdcFault> {
+        // The answer to a question is no status; then another frame says whether there is more.
+        let first = match self.adc.read_codes(false, codes)? {
+            None => {
+                self.in_doubt = false;
+                self.adc.read_codes(false, codes)?
+            }
+            status => status,
+        };
+        let mut newer = [AdcCode::ZERO; CHANNELS];
+        let second = self.adc.read_codes(false, &mut newer)?;
+        if second.is_some_and(Self::is_new) {
+            *codes = newer;
+            Ok(())
+        } else if first.is_some_and(Self::is_new) {
+            Ok(())
+        } else {
+            Err(AdcFault::StaleConversion)
+        }
+    }
+
+    /// Without its data-ready bit a code is the one before, once more.
+    fn is_new(status: Status) -> bool {
+        status.data_ready().contains(Self::CHANNELS)
+    }
+
     /// Whether the converter is to be asked now who it is.
     fn is_to_be_asked(&mut self) -> bool {
         if let Some(left) = self.until_question.checked_sub(1) {
@@ -234,10 +286,9 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
         true
     }
 
-    fn start(&mut self, now: DeviceTime, delay: &mut impl DelayNs) {
-        self.last_start = Some(now);
+    fn start(&mut self, delay: &mut impl DelayNs) {
+        self.last_start = LastStart::SinceLastTick;
         self.last_read = None;
-        self.last_announced = None;
         self.corrupted_run = 0;
         self.in_doubt = false;
         self.after_gap = true;
@@ -249,14 +300,14 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
     }
 
     fn check_silence(&mut self, now: DeviceTime) {
-        let period = self.period_micros();
+        let period = self.period_nanos();
         // Starting takes its time, so before the first conversion the silence counts from the first look after it.
         let last = *self.last_read.get_or_insert(now);
         let silence = micros_since(now, last);
-        if silence > (OVERDUE_PERIODS * period).max(LEAST_OVERDUE_MICROS) {
+        if silence > (OVERDUE_PERIODS * period / 1000).max(LEAST_OVERDUE_MICROS) {
             self.silent = true;
         }
-        if silence > (SILENCE_PERIODS * period).max(LEAST_SILENCE_MICROS) {
+        if silence > (SILENCE_PERIODS * period / 1000).max(LEAST_SILENCE_MICROS) {
             self.state = AdcState::Faulty(AdcFault::DataReadyLost);
         }
     }
@@ -265,16 +316,17 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
     /// period, give or take the time to respond; only a pause of more than one and a half says that one is missing.
     fn count_lost_before(&mut self, announced: DeviceTime) -> u32 {
         let Some(last) = self.last_announced else { return 0 };
-        let period = self.period_micros();
-        let periods = (micros_since(announced, last) + period / 2) / period;
+        let period = self.period_nanos();
+        let periods = (micros_since(announced, last).saturating_mul(1000) + period / 2) / period;
         let missing = u32::try_from(periods.saturating_sub(1)).unwrap_or(u32::MAX);
         self.counters.lost = self.counters.lost.wrapping_add(missing);
         self.next_index = SampleIndex::new(self.next_index.get().wrapping_add(missing));
         missing
     }
 
-    fn period_micros(&self) -> u64 {
-        1_000_000 / u64::from(self.orders.settings.data_rate.hertz())
+    /// Exact at every rate of the converter.
+    fn period_nanos(&self) -> u64 {
+        1_000_000_000 / u64::from(self.orders.settings.data_rate.hertz())
     }
 }
 

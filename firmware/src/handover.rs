@@ -9,8 +9,8 @@
 //!             ───Report: all that is known of it───────┴ RemoteConverter, in the sensor
 //! ```
 //!
-//! Orders and report change hands together (`RemoteConverter::exchange`). Whatever needs a start of the converter begins a new **era**,
-//! and a reading bears the era in which it was made: what was read before an order is never taken for what came of it.
+//! Orders and report change hands together (`RemoteConverter::exchange`). Every order begins a new **era**, and a reading bears the
+//! era in which it was made: what was read before an order is never taken for what came of it.
 
 use embedded_hal::spi::SpiDevice;
 use ftcal_shared::fault::AdcFault;
@@ -62,8 +62,10 @@ impl<const GAGES: usize> Reading<GAGES> {
 pub(crate) struct Orders {
     /// How it is to be set up, from this era on.
     pub(crate) settings: AdcSettings,
-    /// Changes where the converter is to be started, again or otherwise.
+    /// Changes with every order.
     pub(crate) era: u8,
+    /// Changes where the converter is to be started, again or otherwise.
+    pub(crate) start: u8,
     /// What is played on its bus.
     pub(crate) injection: Option<Injection>,
     /// Data-ready is not to be attended to.
@@ -76,6 +78,7 @@ impl Orders {
         Self {
             settings: AdcSettings { channels, ..AdcSettings::default() },
             era: 0,
+            start: 0,
             injection: None,
             ignore_data_ready: false,
         }
@@ -156,17 +159,24 @@ impl RemoteConverter {
 
     /// Has the converter started.
     pub(crate) const fn restart(&mut self) {
-        self.orders.era = self.orders.era.wrapping_add(1);
+        self.begin_era();
+        self.orders.start = self.orders.start.wrapping_add(1);
         self.report.state = AdcState::Starting;
     }
 
     /// Plays a fault on the converter's bus, or none.
     pub(crate) const fn play(&mut self, injection: Option<Injection>) {
+        self.begin_era();
         self.orders.injection = injection;
     }
 
     /// Has data-ready attended to, or not.
     pub(crate) const fn ignore_data_ready(&mut self, ignore: bool) {
+        self.begin_era();
         self.orders.ignore_data_ready = ignore;
+    }
+
+    const fn begin_era(&mut self) {
+        self.orders.era = self.orders.era.wrapping_add(1);
     }
 }

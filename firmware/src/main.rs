@@ -17,7 +17,9 @@
 //! ([`Sensor::exchange`]), and nothing else holds data-ready up. The sensor is shared by `process`, `session` and `idle`: `session` holds
 //! it while a request is answered, `idle` while it gives a job's handle back, or the calibration that it has read. Meanwhile
 //! readings wait in their queue; one that finds it full is lost, and counted as overrun, and one that is not attended to before
-//! the next conversion is due is counted as late. The memory is `idle`'s alone. Queues between two tasks need no lock. A sample of
+//! the next conversion is due is counted as late. Where they come faster than they are worked off, so that `process` never gets to the
+//! end of its queue, it passes over those that come until the next tick, and counts them as overrun, too: whoever is below it must be
+//! able to say so, and to hear that the rate is to be lowered. The memory is `idle`'s alone. Queues between two tasks need no lock. A sample of
 //! the stream that finds its queue full is dropped and counted.
 //!
 //! **What is not inlined.** Whatever `session` and `idle` do in turn is in functions of its own, so that only what runs has its frame on the
@@ -48,16 +50,16 @@ mod app {
     use ftcal_firmware::baud::DEFAULT_BAUD;
     use ftcal_firmware::handover::Reading;
     use ftcal_firmware::sensor::{LinkCounters, Reaction, Sensor};
-    use ftcal_firmware::session::{Order, Session};
+    use ftcal_firmware::session::{Order, Session, Ticket};
     use ftcal_firmware::storage::checkpoint::TrialAccess;
-    use ftcal_firmware::storage::job::StoreJob;
+    use ftcal_firmware::storage::job::{StoreJob, Stored};
     use ftcal_firmware::storage::keeper::Keeper;
     use ftcal_firmware::stream::{Batcher, Moment};
     use ftcal_firmware::trial::{SolveJob, Trial};
     use ftcal_firmware::vitality::{Task, Vitality};
     use ftcal_shared::estimation::bins::Bins;
     use ftcal_shared::estimation::moments::higher_moment_count;
-    use ftcal_shared::wire::{Rejection, Request, RequestId, Response, ToHost};
+    use ftcal_shared::wire::{AdcState, Rejection, Request, Response, ToHost};
     use heapless::spsc::{Consumer, Producer, Queue};
     use rtic::Mutex;
     use stm32f4xx_hal::pac::Interrupt;
@@ -86,13 +88,13 @@ mod app {
         acquisition: Acquisition<Converter, GAGES>,
         sensor: Sensor<Store, GAGES, HIGHER>,
         /// A trial on its way to be solved, and the request that its outcome answers.
-        job: Option<(RequestId, Job)>,
+        job: Option<(Ticket, Job)>,
         /// Something to be stored, and the request that asks for it.
-        store_job: Option<(RequestId, StoreJob)>,
+        store_job: Option<(Ticket, StoreJob)>,
         /// Nothing: whoever holds it keeps `session` from running.
         requests: (),
         /// The outcome on its way to the host.
-        outcome: Option<(RequestId, Response)>,
+        outcome: Option<(Ticket, Response)>,
         /// The converter was looked after, and the sensor has not heard of it.
         has_ticked: AtomicBool,
         dropped_samples: AtomicU32,
@@ -184,6 +186,7 @@ mod app {
 
         let mut sensor = Sensor::new(context.local.store, board.clock);
         sensor.note_start(&board.start.diagnosis());
+        sensor.await_memory();
         let shared = Shared {
             acquisition: Acquisition::new(board.converter),
             sensor,
@@ -264,7 +267,7 @@ mod app {
     #[task(
         binds = TIM6_DAC,
         priority = 2,
-        local = [readings_out, moments_in, panel],
+        local = [readings_out, moments_in, panel, is_shedding: bool = false, logged: AdcState = AdcState::Starting],
         shared = [sensor, acquisition, &has_ticked, &dropped_samples, &vitality]
     )]
     fn process(context: process::Context) {
@@ -285,12 +288,22 @@ mod app {
             }
             rtic::pend(Interrupt::TIM7);
         };
+        let is_shedding = context.local.is_shedding;
         sensor.lock(|sensor| {
+            let mut in_a_row = 0;
             while let Some(reading) = context.local.readings_out.dequeue() {
+                if *is_shedding {
+                    acquisition.lock(Acquisition::note_overrun);
+                    continue;
+                }
                 queue(sensor.take_in(&reading, time_base::now()));
+                in_a_row += 1;
+                *is_shedding = in_a_row > READING_QUEUE;
             }
             if has_ticked.swap(false, Ordering::Acquire) {
+                *is_shedding = false;
                 acquisition.lock(|acquisition| sensor.exchange(acquisition));
+                log_converter(context.local.logged, sensor.converter_state());
                 queue(sensor.tick(time_base::now()));
                 let Panel { button, light } = context.local.panel;
                 light.set(sensor.attend_panel(time_base::now(), button.is_pressed()));
@@ -300,6 +313,17 @@ mod app {
         });
         if moments.is_empty() {
             catch_up();
+        }
+    }
+
+    /// Says in the log what has become of the converter, if that is news.
+    fn log_converter(logged: &mut AdcState, state: AdcState) {
+        if *logged != state {
+            *logged = state;
+            match state {
+                AdcState::Faulty(fault) => defmt::warn!("converter: {}", fault),
+                AdcState::Starting | AdcState::Running => defmt::info!("converter: {}", state),
+            }
         }
     }
 
@@ -338,28 +362,30 @@ mod app {
 
     /// What goes to the host next: answers before samples.
     fn next_message(context: &mut session::Context<'_>) -> Option<ToHost> {
-        if let Some((id, response)) = context.shared.outcome.lock(Option::take) {
-            context.local.conversation.session.answered(id, &response);
-            return Some(ToHost::Response(id, response));
+        if let Some((ticket, response)) = context.shared.outcome.lock(Option::take)
+            && let Some(message) = context.local.conversation.session.answer(ticket, response)
+        {
+            return Some(message);
         }
         while let Some(byte) = context.local.conversation.received.dequeue() {
-            let answer = match context.local.conversation.session.on_byte(byte, time_base::now()) {
-                None => None,
+            let (ticket, response) = match context.local.conversation.session.on_byte(byte, time_base::now())
+            {
+                None => continue,
                 Some(Order::Send(message)) => return Some(message),
-                Some(Order::Serve(id, request)) => serve(context, id, request).map(|response| (id, response)),
-                Some(Order::ChangeRate(id, baud)) => Some((id, context.local.conversation.plan_rate(baud))),
+                Some(Order::Serve(ticket, request)) => match serve(context, ticket, request) {
+                    None => continue,
+                    Some(response) => (ticket, response),
+                },
+                Some(Order::ChangeRate(ticket, baud)) => (ticket, context.local.conversation.plan_rate(baud)),
             };
-            if let Some((id, response)) = answer {
-                context.local.conversation.session.answered(id, &response);
-                return Some(ToHost::Response(id, response));
-            }
+            return context.local.conversation.session.answer(ticket, response);
         }
         context.local.conversation.next_of_stream()
     }
 
     /// Has the sensor answer; `None` where the answer takes time and comes as the outcome of a job.
     #[inline(never)]
-    fn serve(context: &mut session::Context<'_>, id: RequestId, request: Request) -> Option<Response> {
+    fn serve(context: &mut session::Context<'_>, ticket: Ticket, request: Request) -> Option<Response> {
         let now = time_base::now();
         let is_new_stream = matches!(request, Request::Stream(_));
         let counters = LinkCounters {
@@ -374,11 +400,11 @@ mod app {
             Reaction::Respond(response) => Some(response),
             Reaction::Diagnose => Some(Response::Diagnosis(context.local.start.diagnosis())),
             Reaction::Solve(job) => {
-                context.shared.job.lock(|waiting| *waiting = Some((id, job)));
+                context.shared.job.lock(|waiting| *waiting = Some((ticket, job)));
                 None
             }
             Reaction::Store(job) => {
-                context.shared.store_job.lock(|waiting| *waiting = Some((id, job)));
+                context.shared.store_job.lock(|waiting| *waiting = Some((ticket, job)));
                 None
             }
         }
@@ -398,7 +424,9 @@ mod app {
                 || store(&mut store_job, keeper, &mut access.sensor, &mut outcome);
             if is_done {
                 rtic::pend(Interrupt::TIM7);
-            } else if !calibrate_in_the_field(keeper, &mut access.sensor) {
+            } else if !calibrate_in_the_field(keeper, &mut access.sensor)
+                && !keep_house(keeper, &mut access.sensor)
+            {
                 keeper.attend(time_base::now(), &mut access);
                 cortex_m::asm::wfi();
             }
@@ -415,35 +443,55 @@ mod app {
         Requests: Mutex,
     {
         let found = keeper.start(access);
+        match &found.kept {
+            Ok(kept) => defmt::info!("calibration: {}", kept.calibrations.current),
+            Err(error) => defmt::error!("the memory cannot be read: {}", error),
+        }
         access.sensor.lock(|sensor| sensor.restore(found));
     }
 
     /// Solves the trial that waits for it, if one does.
     #[inline(never)]
     fn solve(
-        job: &mut impl Mutex<T = Option<(RequestId, Job)>>,
+        job: &mut impl Mutex<T = Option<(Ticket, Job)>>,
         sensor: &mut impl Mutex<T = Sensor<Store, GAGES, HIGHER>>,
-        outcome: &mut impl Mutex<T = Option<(RequestId, Response)>>,
+        outcome: &mut impl Mutex<T = Option<(Ticket, Response)>>,
     ) -> bool {
-        let Some((id, mut job)) = job.lock(Option::take) else { return false };
+        let Some((ticket, mut job)) = job.lock(Option::take) else { return false };
         let response = job.response();
         sensor.lock(|sensor| sensor.finish_solving(job));
-        outcome.lock(|outcome| *outcome = Some((id, response)));
+        outcome.lock(|outcome| *outcome = Some((ticket, response)));
         true
     }
 
     /// Stores what waits for it, if anything does.
     #[inline(never)]
     fn store(
-        store_job: &mut impl Mutex<T = Option<(RequestId, StoreJob)>>,
+        store_job: &mut impl Mutex<T = Option<(Ticket, StoreJob)>>,
         keeper: &mut Keeper<Flash>,
         sensor: &mut impl Mutex<T = Sensor<Store, GAGES, HIGHER>>,
-        outcome: &mut impl Mutex<T = Option<(RequestId, Response)>>,
+        outcome: &mut impl Mutex<T = Option<(Ticket, Response)>>,
     ) -> bool {
-        let Some((id, job)) = store_job.lock(Option::take) else { return false };
+        let Some((ticket, job)) = store_job.lock(Option::take) else { return false };
         let stored = keeper.run(&job);
+        if let Stored::Failed(error) = &stored {
+            defmt::error!("not stored: {}", error);
+        }
         let response = sensor.lock(|sensor| sensor.finish_storing(stored));
-        outcome.lock(|outcome| *outcome = Some((id, response)));
+        outcome.lock(|outcome| *outcome = Some((ticket, response)));
+        true
+    }
+
+    /// Stores what nobody has to ask for, if there is something.
+    #[inline(never)]
+    fn keep_house(
+        keeper: &mut Keeper<Flash>,
+        sensor: &mut impl Mutex<T = Sensor<Store, GAGES, HIGHER>>,
+    ) -> bool {
+        let Some(job) = sensor.lock(Sensor::housekeeping) else { return false };
+        let stored = keeper.run(&job);
+        // It was nobody's request.
+        let _ = sensor.lock(|sensor| sensor.finish_storing(stored));
         true
     }
 

@@ -1,7 +1,7 @@
 //! A sensor together with its converter, where nothing interrupts: in the simulator and in tests.
 //!
 //! The board reads the converter in one interrupt and has the sensor make something of it in another. Here the one follows the other
-//! at once, so that no reading waits and none is lost.
+//! at once, so that no reading waits and none is lost. Orders and report change hands at ticks, as they do there.
 
 use core::ops::DerefMut;
 
@@ -54,7 +54,6 @@ where
 
     /// See [`Acquisition::tick`] and [`Sensor::tick`].
     pub fn tick(&mut self, now: DeviceTime, delay: &mut impl DelayNs) -> Option<Moment> {
-        self.sensor.exchange(&mut self.acquisition);
         self.acquisition.tick(now, delay);
         self.sensor.exchange(&mut self.acquisition);
         self.sensor.tick(now)
@@ -62,9 +61,7 @@ where
 
     /// See [`Acquisition::on_data_ready`] and [`Sensor::take_in`].
     pub fn on_data_ready(&mut self, now: DeviceTime, announced: DeviceTime) -> Option<Moment> {
-        self.sensor.exchange(&mut self.acquisition);
         let reading = self.acquisition.on_data_ready(now, announced)?;
-        self.sensor.exchange(&mut self.acquisition);
         self.sensor.take_in(&reading, now)
     }
 }

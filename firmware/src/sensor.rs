@@ -15,8 +15,9 @@ use ftcal_shared::fault::AdcFault;
 use ftcal_shared::units::{AdcCode, Decimation, DeviceTime, Gain, SampleIndex};
 use ftcal_shared::wire::health::StatusBit;
 use ftcal_shared::wire::{
-    AdcState, CalibrationOrigin, CalibrationUpload, ClockSource, CodesFrame, GageList, Identity,
-    InvalidCause, KeptCalibrations, Output, PackedWrenches, Rejection, Request, Response, Status, StreamKind,
+    AdcState, CalibrationOrigin, CalibrationUpload, ClockSource, CodesFrame, GageList, HealthRequest,
+    Identity, InvalidCause, KeptCalibrations, Output, PackedWrenches, Rejection, Request, Response, Status,
+    StreamKind,
 };
 
 use crate::acquisition::{Acquisition, Sample};
@@ -62,6 +63,10 @@ pub struct Sensor<Store, const GAGES: usize, const HIGHER: usize> {
     identity: Identity,
     /// A [`StoreJob`] is out.
     storing: bool,
+    /// What was kept before the reset is still to come.
+    awaits_memory: bool,
+    /// Something that was stored besides the calibrations cannot be read, or something could not be stored.
+    memory_failed: bool,
     health: Health<GAGES>,
     self_test: SelfTest<GAGES>,
     field: Field,
@@ -111,6 +116,8 @@ where
             kept: KeptCalibrations::default(),
             identity: Identity::default(),
             storing: false,
+            awaits_memory: false,
+            memory_failed: false,
             health: Health::new(),
             self_test: SelfTest::new(),
             field: Field::new(),
@@ -120,6 +127,12 @@ where
             clock,
             late_samples: 0,
         }
+    }
+
+    /// Holds back whatever would be overwritten by what was kept, until that is there ([`Sensor::restore`]): to be called at the start by
+    /// a board that has a memory. A trial that goes on takes no samples before the converter is set for it.
+    pub const fn await_memory(&mut self) {
+        self.awaits_memory = true;
     }
 
     /// The trial.
@@ -167,17 +180,21 @@ where
         if waited > u64::from(self.period_nanos() / 1000) {
             self.late_samples = self.late_samples.wrapping_add(1);
         }
+        // The sample that ends a self-test is part of it.
+        let is_testing = self.self_test.is_running();
         match reading.outcome() {
             Ok(sample) => {
-                self.trial.offer(reading.index, &sample.codes);
+                if !self.awaits_memory {
+                    self.trial.offer(reading.index, &sample.codes);
+                }
                 let measurement = self.measure(sample);
                 self.observe(now, &Observed::Sample(&sample.codes, self.health.live()));
-                self.moment(reading, sample, measurement)
+                self.moment(reading, sample, measurement, is_testing)
             }
             Err(fault) => {
+                let measurement = Measurement::Invalid(self.cause_of(fault));
                 self.health.note_fault(is_disturbance(fault));
                 self.observe(now, &Observed::Fault(fault));
-                let measurement = Measurement::Invalid(self.cause_of(fault));
                 match self.stream {
                     StreamKind::Wrench => {
                         self.wrench_moment(reading.index, reading.announced, reading.read_at, measurement)
@@ -197,6 +214,7 @@ where
         link: LinkCounters,
     ) -> Reaction<Store, GAGES, HIGHER> {
         let served = match request {
+            ref request if self.awaits_memory && changes_something(request) => Err(Rejection::Storing),
             Request::Status => Ok(Response::Status(self.status(now, link))),
             Request::ConfigureAdc(data_rate, gain) => self.require_peace().map(|()| {
                 self.converter.configure(data_rate, gain);
@@ -252,6 +270,11 @@ where
         Reaction::Respond(served.unwrap_or_else(Response::Rejected))
     }
 
+    /// The state of the converter as it was last reported.
+    pub const fn converter_state(&self) -> AdcState {
+        self.converter.state()
+    }
+
     /// Nobody listens any more: what was being streamed is not, and the status says so.
     pub fn abandon_stream(&mut self) {
         if self.stream != StreamKind::Off {
@@ -270,11 +293,12 @@ where
         reading: &Reading<GAGES>,
         sample: &Sample<GAGES>,
         measurement: Measurement,
+        is_testing: bool,
     ) -> Option<Moment> {
         match self.stream {
             StreamKind::Off => None,
             // What is played is not to be recorded.
-            StreamKind::Codes if self.self_test.is_running() => None,
+            StreamKind::Codes if is_testing => None,
             StreamKind::Codes => Some(Moment::Codes(CodesFrame {
                 index: reading.index,
                 time: reading.announced,
@@ -368,7 +392,7 @@ where
     fn use_calibration(&mut self, loaded: LoadedCalibration<GAGES>) {
         let data_rate = self.converter.settings().data_rate;
         self.health.watch(ParitySpace::new(&loaded.real_time.matrix()), None, data_rate);
-        self.health.start_anew(loaded.upload.identity);
+        self.health.start_anew(loaded.upload.identity, loaded.upload.dof);
         self.calibration = Some(loaded);
     }
 
@@ -411,6 +435,42 @@ where
             overrun_conversions: counters.overrun,
             late_samples: self.late_samples,
         }
+    }
+}
+
+/// Whether the sensor is another one after this request.
+const fn changes_something(request: &Request) -> bool {
+    match request {
+        Request::Status
+        | Request::TrialStatus
+        | Request::Diagnosis
+        | Request::ReadCalibration
+        | Request::ReadIdentity
+        | Request::ReadField
+        | Request::Stream(_)
+        | Request::Output(_)
+        | Request::ChangeRate(_)
+        | Request::Health(
+            HealthRequest::Read
+            | HealthRequest::ReadLimits
+            | HealthRequest::ReadTare
+            | HealthRequest::ReadSelfTest,
+        ) => false,
+        Request::ConfigureAdc(..)
+        | Request::StartTrial { .. }
+        | Request::StopTrial
+        | Request::SolveTrial
+        | Request::Coverage
+        | Request::UploadCalibration(_)
+        | Request::Memory(_)
+        | Request::Health(
+            HealthRequest::ClearLatched
+            | HealthRequest::CarryOn(_)
+            | HealthRequest::SetLimits(_)
+            | HealthRequest::SetTare { .. }
+            | HealthRequest::ClearTare { .. }
+            | HealthRequest::StartSelfTest,
+        ) => true,
     }
 }
 

@@ -35,16 +35,22 @@ pub const HOST_SILENCE_MICROS: u64 = 5_000_000;
 /// How long the host has to say something at a new rate.
 pub const RATE_TRIAL_MICROS: u64 = 1_000_000;
 
+/// Which request of which conversation: what is asked in one is not answered in the next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Ticket {
+    id: RequestId,
+    conversation: u8,
+}
+
 /// What is to be done about what came from the host.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Order {
     /// Send this.
     Send(ToHost),
-    /// Have the sensor serve this request, and tell the session what it [`answered`](Session::answered).
-    Serve(RequestId, Request),
-    /// Change to this baud rate if that is possible, after the answer has left, and tell the session what was
-    /// [`answered`](Session::answered).
-    ChangeRate(RequestId, u32),
+    /// Have the sensor serve this request, and have the session [`answer`](Session::answer) it.
+    Serve(Ticket, Request),
+    /// Change to this baud rate if that is possible, after the answer has left, and have the session [`answer`](Session::answer).
+    ChangeRate(Ticket, u32),
 }
 
 /// What is to be done about a host that says nothing.
@@ -63,6 +69,8 @@ pub struct Session {
     broken_frames: u32,
     /// The last request, and its answer when there is one.
     last: Option<(RequestId, Option<Response>)>,
+    /// Grows with every greeting.
+    conversation: u8,
     /// When the host said something.
     heard: DeviceTime,
     rate: Rate,
@@ -93,6 +101,7 @@ impl Session {
             decoder: Decoder::new(),
             broken_frames: 0,
             last: None,
+            conversation: 0,
             heard: DeviceTime::from_micros(0),
             rate: Rate::Default,
         }
@@ -112,6 +121,7 @@ impl Session {
         let (id, request) = match message {
             ToDevice::Hello => {
                 self.last = None;
+                self.conversation = self.conversation.wrapping_add(1);
                 return Some(Order::Send(ToHost::Hello(hello())));
             }
             ToDevice::Request(id, request) => (id, request),
@@ -122,19 +132,24 @@ impl Session {
             return answer.clone().map(|answer| Order::Send(ToHost::Response(id, answer)));
         }
         self.last = Some((id, None));
+        let ticket = Ticket { id, conversation: self.conversation };
         Some(match request {
-            Request::ChangeRate(baud) => Order::ChangeRate(id, baud),
-            request => Order::Serve(id, request),
+            Request::ChangeRate(baud) => Order::ChangeRate(ticket, baud),
+            request => Order::Serve(ticket, request),
         })
     }
 
-    /// Keeps the answer to a request, in case that it gets lost.
-    pub fn answered(&mut self, id: RequestId, response: &Response) {
+    /// The message that answers a request; kept, in case that it gets lost. `None` where the conversation that it belongs to is over.
+    pub fn answer(&mut self, ticket: Ticket, response: Response) -> Option<ToHost> {
+        if ticket.conversation != self.conversation {
+            return None;
+        }
         if let Some((last, answer)) = &mut self.last
-            && *last == id
+            && *last == ticket.id
         {
             *answer = Some(response.clone());
         }
+        Some(ToHost::Response(ticket.id, response))
     }
 
     /// The line has this rate from now on.

@@ -124,6 +124,7 @@ impl OpenRun {
         let pause = 1000 * micros_since(sample.time, last.time);
         let period = u64::from(last.period_nanos);
         sample.measurement.kind() == self.kind
+            && sample.basis == last.basis
             && sample.stride == last.stride
             && sample.index.since(last.index) == u32::from(last.stride)
             && sample.period_nanos == last.period_nanos

@@ -13,7 +13,7 @@ use ftcal_shared::estimation::bins::Bins;
 use ftcal_shared::estimation::moments::higher_moment_count;
 use ftcal_shared::units::DeviceTime;
 use ftcal_shared::wire::frame::encode;
-use ftcal_shared::wire::{ClockSource, RequestId, Response, ToDevice, ToHost};
+use ftcal_shared::wire::{ClockSource, Response, ToDevice, ToHost};
 use libfuzzer_sys::fuzz_target;
 
 const GAGES: usize = 4;
@@ -38,20 +38,16 @@ impl Board {
 
     /// What the board sends about this byte.
     fn receive(&mut self, byte: u8) -> Option<ToHost> {
-        let response = |session: &mut Session, id: RequestId, response: Response| {
-            session.answered(id, &response);
-            Some(ToHost::Response(id, response))
-        };
         match self.session.on_byte(byte, self.now)? {
             Order::Send(message) => Some(message),
-            Order::ChangeRate(id, baud) => {
+            Order::ChangeRate(ticket, baud) => {
                 self.session.rate_changed(baud, self.now);
-                response(&mut self.session, id, Response::Done)
+                self.session.answer(ticket, Response::Done)
             }
-            Order::Serve(id, request) => {
+            Order::Serve(ticket, request) => {
                 match self.polled.sensor.answer(request, self.now, LinkCounters::default()) {
-                    Reaction::Respond(answer) => response(&mut self.session, id, answer),
-                    Reaction::Diagnose => response(&mut self.session, id, Response::Done),
+                    Reaction::Respond(answer) => self.session.answer(ticket, answer),
+                    Reaction::Diagnose => self.session.answer(ticket, Response::Done),
                     Reaction::Store(job) => {
                         // This sensor's memory is defective; a trial needs none.
                         let stored = match job {
@@ -59,12 +55,12 @@ impl Board {
                             _ => Stored::Failed(StorageError::Flash),
                         };
                         let answer = self.polled.sensor.finish_storing(stored);
-                        response(&mut self.session, id, answer)
+                        self.session.answer(ticket, answer)
                     }
                     Reaction::Solve(mut job) => {
                         let answer = job.response();
                         self.polled.sensor.finish_solving(job);
-                        response(&mut self.session, id, answer)
+                        self.session.answer(ticket, answer)
                     }
                 }
             }

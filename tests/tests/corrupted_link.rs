@@ -11,7 +11,7 @@ use ftcal::link::frame::{Frame, Measured, WrenchSample};
 use ftcal::link::transport::{Transport, TransportError};
 use ftcal_firmware::polled::{EmptyBus, NoDelay, PolledSensor};
 use ftcal_firmware::sensor::{LinkCounters, Reaction};
-use ftcal_firmware::session::{Order, Session};
+use ftcal_firmware::session::{Order, Session, Ticket};
 use ftcal_firmware::storage::job::{StoreJob, Stored};
 use ftcal_firmware::stream::{Batcher, Measurement, Moment, WrenchMoment};
 use ftcal_shared::estimation::bins::Bins;
@@ -19,7 +19,7 @@ use ftcal_shared::estimation::moments::higher_moment_count;
 use ftcal_shared::units::{DeviceTime, Dof, MAX_DOF, SampleIndex};
 use ftcal_shared::wire::frame::encode;
 use ftcal_shared::wire::{
-    CalibrationUpload, ClockSource, Rejection, Request, RequestId, Response, StreamKind, ToHost, TrialPhase,
+    CalibrationUpload, ClockSource, Rejection, Request, Response, StreamKind, ToHost, TrialPhase,
 };
 use ftcal_tests::random;
 use rand::{Rng, RngExt};
@@ -52,7 +52,7 @@ struct Device {
     streaming: bool,
     next: u32,
     calibration: u32,
-    last_served: Option<RequestId>,
+    last_served: Option<Ticket>,
     served: u64,
 }
 
@@ -73,24 +73,17 @@ impl Device {
     }
 
     fn receive(&mut self, byte: u8) -> Option<ToHost> {
-        let (id, response) = match self.session.on_byte(byte, self.now)? {
-            Order::Send(message) => {
-                // After a greeting, numbers begin anew.
-                if matches!(message, ToHost::Hello(_)) {
-                    self.last_served = None;
-                }
-                return Some(message);
-            }
-            Order::ChangeRate(id, _) => (id, Response::Rejected(Rejection::UnsupportedRate)),
-            Order::Serve(id, request) => (id, self.serve(id, request)),
+        let (ticket, response) = match self.session.on_byte(byte, self.now)? {
+            Order::Send(message) => return Some(message),
+            Order::ChangeRate(ticket, _) => (ticket, Response::Rejected(Rejection::UnsupportedRate)),
+            Order::Serve(ticket, request) => (ticket, self.serve(ticket, request)),
         };
-        self.session.answered(id, &response);
-        Some(ToHost::Response(id, response))
+        self.session.answer(ticket, response)
     }
 
-    fn serve(&mut self, id: RequestId, request: Request) -> Response {
-        assert_ne!(self.last_served, Some(id), "a request is served once");
-        self.last_served = Some(id);
+    fn serve(&mut self, ticket: Ticket, request: Request) -> Response {
+        assert_ne!(self.last_served, Some(ticket), "a request is served once");
+        self.last_served = Some(ticket);
         self.served += 1;
         if let Request::Stream(kind) = request {
             self.streaming = kind == StreamKind::Wrench;

@@ -51,7 +51,7 @@ impl Status {
         self.0 & LOCK != 0
     }
 
-    /// The converter restarted its filters to follow its SYNC pin: the next three conversions are unsettled.
+    /// The converter restarted its filters because of its SYNC/RESET pin: the next three conversions are unsettled.
     pub const fn was_resynchronized(self) -> bool {
         self.0 & RESYNCHRONIZED != 0
     }
@@ -89,10 +89,11 @@ impl Status {
 
     /// What is wrong with a converter that answers a NULL command with this in continuous reading.
     ///
-    /// A reset comes first: it explains all the others. A change of the register map is reported as a mismatch of the
+    /// A reset comes first: it explains all the others. A resynchronization counts as one: it comes from the same pin, which is wired so
+    /// that neither should ever happen, and the conversions after it are not fit for use. A change of the register map is reported as a mismatch of the
     /// register that holds the map's checksum, for nobody knows which of the map's registers it was.
     pub(super) const fn fault(self) -> Option<AdcFault> {
-        if self.was_reset() {
+        if self.was_reset() || self.was_resynchronized() {
             Some(AdcFault::UnexpectedReset)
         } else if !self.has_format_set() {
             Some(AdcFault::UnexpectedReply)
@@ -158,10 +159,9 @@ mod tests {
     }
 
     #[test]
-    fn data_ready_and_resynchronization_are_no_faults() {
+    fn data_ready_is_no_fault() {
         for flags in 0..=0xFF {
             assert_eq!(Status::from_bits(HEALTHY | flags).fault(), None);
-            assert_eq!(Status::from_bits(HEALTHY | flags | 1 << 14).fault(), None);
         }
     }
 
@@ -169,6 +169,7 @@ mod tests {
     fn every_other_deviation_has_its_cause() {
         let faults = [
             (1 << 15, AdcFault::UnexpectedReply),
+            (1 << 14, AdcFault::UnexpectedReset),
             (1 << 13, AdcFault::RegisterMismatch { address: 0x3E }),
             (1 << 12, AdcFault::CommandCorrupted),
             (1 << 11, AdcFault::UnexpectedReply),

@@ -21,7 +21,7 @@ const ALLOWED: u8 = 3;
 pub(crate) struct Repetition {
     /// Gages that have done so for longer than they should: bit k for gage k.
     pub(crate) lasting: u16,
-    /// All gages repeat the sample before, if only this once.
+    /// All gages that are within their range repeat the sample before, if only this once. (One at the end of it has nothing else to say.)
     pub(crate) of_all: bool,
 }
 
@@ -65,15 +65,18 @@ impl<const GAGES: usize> InputWatch<GAGES> {
     /// Rarely needed, so not in the way of what is.
     #[cold]
     fn count(&mut self, codes: &[AdcCode; GAGES]) -> Repetition {
-        let (mut lasting, mut same) = (0, 0_usize);
+        let (mut lasting, mut same, mut within_range) = (0, 0_usize, 0_usize);
+        self.running = false;
         for (gage, run) in self.runs.iter_mut().enumerate() {
             let repeats = codes[gage] == self.last[gage];
             *run = if repeats { run.saturating_add(1) } else { 0 };
-            same += usize::from(repeats);
+            let is_within_range = !codes[gage].is_saturated();
+            within_range += usize::from(is_within_range);
+            same += usize::from(repeats && is_within_range);
+            self.running |= repeats;
             lasting |= u16::from(*run > ALLOWED) << gage;
         }
-        self.running = same != 0;
-        Repetition { lasting, of_all: same == GAGES }
+        Repetition { lasting, of_all: same > 0 && same == within_range }
     }
 }
 
@@ -106,6 +109,16 @@ mod tests {
         assert!(watch.push(&[code(5), code(79), code(5)]).of_all);
         let repetition = watch.push(&[code(5), code(80), code(5)]);
         assert_eq!((repetition.lasting, repetition.of_all), (0b101, false));
+    }
+
+    #[test]
+    fn gages_at_the_end_of_their_range_say_nothing_of_the_others() {
+        let mut watch = InputWatch::<2>::new();
+        for _ in 0..10 {
+            assert!(!watch.push(&[AdcCode::MAX, AdcCode::MIN]).of_all);
+        }
+        assert!(!watch.push(&[AdcCode::MAX, code(5)]).of_all);
+        assert!(watch.push(&[AdcCode::MAX, code(5)]).of_all);
     }
 
     #[test]

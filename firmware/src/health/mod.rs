@@ -21,7 +21,7 @@ mod tare;
 use ftcal_shared::estimation::application::RealTimeCalibration;
 use ftcal_shared::estimation::parity::ParitySpace;
 use ftcal_shared::fault::AdcFault;
-use ftcal_shared::units::{DataRate, MAX_DOF};
+use ftcal_shared::units::{DataRate, Dof, MAX_DOF};
 use ftcal_shared::wire::health::{StatusBit, StatusWord};
 use ftcal_shared::wire::{HealthReport, InvalidCause, LoadLimits, Rejection, TareReport};
 use serde::{Deserialize, Serialize};
@@ -40,16 +40,28 @@ use tare::{Averaged, Tare};
 pub struct KeptHealth {
     /// The limits of the load.
     pub limits: LoadLimits,
+    /// What the sensor measured when they were set: to other axes they mean nothing.
+    pub of: Option<Dof>,
     /// The tare, if it was to be kept.
     pub tare: Option<KeptTare>,
-    /// The largest magnitude of each component ever, newton and newton metre.
-    pub peak_ever: [f32; MAX_DOF],
 }
 
 impl KeptHealth {
     /// That of a sensor that has nothing kept.
-    pub const NONE: Self = Self { limits: LoadLimits::NONE, tare: None, peak_ever: [0.0; MAX_DOF] };
+    pub const NONE: Self = Self { limits: LoadLimits::NONE, of: None, tare: None };
 }
+
+/// The largest loads ever. They outlive a reset without being asked to.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct KeptPeaks {
+    /// What the sensor measures: loads of other axes are forgotten with them.
+    pub of: Dof,
+    /// The largest magnitude of each component, newton and newton metre.
+    pub largest: [f32; MAX_DOF],
+}
+
+/// By how much a peak must have grown to be worth a write. A lifetime of loads, from the smallest to the largest, takes a few hundred.
+const GROWTH: f32 = 1.05;
 
 /// A tare that outlives a reset.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -81,7 +93,10 @@ pub struct Health<const GAGES: usize> {
     /// Identity of the calibration that the tare is of.
     calibration: u32,
     basis: u8,
+    /// What is measured, since a calibration is in use.
+    dof: Option<Dof>,
     kept: KeptHealth,
+    kept_peaks: Option<KeptPeaks>,
 }
 
 impl<const GAGES: usize> Health<GAGES> {
@@ -102,7 +117,9 @@ impl<const GAGES: usize> Health<GAGES> {
             tare: Tare::new(),
             calibration: 0,
             basis: 0,
+            dof: None,
             kept: KeptHealth::NONE,
+            kept_peaks: None,
         }
     }
 
@@ -134,11 +151,15 @@ impl<const GAGES: usize> Health<GAGES> {
         self.set(StatusBit::Unwatched, self.parity.is_none());
     }
 
-    /// The wrenches of another calibration begin: a tare was of the one before, and so were its axes.
-    pub fn start_anew(&mut self, calibration: u32) {
+    /// The wrenches of another calibration begin: a tare was of the one before. Where it measures something else, so were limits and peaks.
+    pub fn start_anew(&mut self, calibration: u32, dof: Dof) {
         self.calibration = calibration;
         self.tare.put(None);
         self.tare_changed(false);
+        if self.dof.replace(dof).is_some_and(|before| before != dof) {
+            self.loads = LoadWatch::new();
+            self.kept = KeptHealth { tare: self.kept.tare, ..KeptHealth::NONE };
+        }
     }
 
     /// Learns the noise anew: the converter's rate or gain is another, or its codes were not the gages'.
@@ -287,6 +308,7 @@ impl<const GAGES: usize> Health<GAGES> {
     pub fn set_limits(&mut self, limits: LoadLimits) -> Result<(), Rejection> {
         self.loads.set(limits)?;
         self.kept.limits = limits;
+        self.kept.of = self.dof;
         Ok(())
     }
 
@@ -328,19 +350,44 @@ impl<const GAGES: usize> Health<GAGES> {
 
     fn peak_ever(&self) -> [f32; MAX_DOF] {
         let since_start = self.loads.peak_since_start();
-        core::array::from_fn(|component| self.kept.peak_ever[component].max(since_start[component]))
+        let before = self.peak_kept();
+        core::array::from_fn(|component| before[component].max(since_start[component]))
+    }
+
+    /// The peaks that are kept, where they are of what is measured now.
+    fn peak_kept(&self) -> [f32; MAX_DOF] {
+        let of_this = |peaks: &KeptPeaks| Some(peaks.of) == self.dof;
+        self.kept_peaks.filter(of_this).map_or([0.0; MAX_DOF], |peaks| peaks.largest)
     }
 
     /// What is to outlive a reset, as it is now: for whoever stores it.
-    pub fn kept(&self) -> KeptHealth {
-        KeptHealth { peak_ever: self.peak_ever(), ..self.kept }
+    pub const fn kept(&self) -> &KeptHealth {
+        &self.kept
     }
 
-    /// Takes up what was stored before a reset; the calibration comes first. The tare of another calibration is left out.
+    /// The peaks, where they have grown so much beyond those that are kept that they should be.
+    pub fn grown_peaks(&self) -> Option<KeptPeaks> {
+        let of = self.dof?;
+        let (kept, since_start) = (self.peak_kept(), self.loads.peak_since_start());
+        let has_grown = since_start.iter().zip(&kept).any(|(now, before)| *now > GROWTH * before);
+        has_grown.then(|| KeptPeaks { of, largest: self.peak_ever() })
+    }
+
+    /// Takes up the peaks that are kept.
+    pub fn note_kept_peaks(&mut self, peaks: Option<KeptPeaks>) {
+        // They were numbers when they were stored; should they be none all the same, there are none rather than wrong ones.
+        self.kept_peaks = peaks.filter(|peaks| peaks.largest.iter().all(|peak| peak.is_finite()));
+    }
+
+    /// Takes up what was stored before a reset; the calibration comes first. The tare of another calibration is left out, and so are the
+    /// limits of other axes.
     pub fn restore(&mut self, kept: KeptHealth) {
-        self.kept = KeptHealth { limits: *self.loads.limits(), ..kept };
+        self.kept.tare = kept.tare;
+        let of_these_axes = kept.of.is_none() || self.dof.is_none() || kept.of == self.dof;
         // They were checked before they were stored; should they be broken all the same, there are none rather than wrong ones.
-        let _ = self.set_limits(kept.limits);
+        if of_these_axes && self.set_limits(kept.limits).is_ok() {
+            self.kept.of = kept.of;
+        }
         let of_this = |tare: &KeptTare| {
             tare.calibration == self.calibration && tare.wrench.iter().all(|component| component.is_finite())
         };

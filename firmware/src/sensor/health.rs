@@ -50,6 +50,7 @@ where
             HealthRequest::ClearTare { store } => self.health.clear_tare(store),
             HealthRequest::StartSelfTest => {
                 self.require_peace()?;
+                self.require_nothing_stored(true)?;
                 self.health.set(StatusBit::SelfTest, true);
                 self.self_test.start(now, self.health.in_use(), self.health.watched());
             }
@@ -104,15 +105,20 @@ where
     pub(super) fn note_conditions(&mut self) {
         let gain = self.converter.settings().gain;
         let other_gain = self.calibration.as_ref().is_some_and(|calibration| calibration.gain != gain);
-        let memory_failed =
-            matches!(self.kept.current, KeptCalibration::Unreadable | KeptCalibration::Unusable);
+        let calibration_failed = match self.kept.current {
+            KeptCalibration::Unread | KeptCalibration::Nothing | KeptCalibration::Calibration(_) => false,
+            KeptCalibration::Unreadable
+            | KeptCalibration::Unusable
+            | KeptCalibration::Corrupt
+            | KeptCalibration::OtherFormat(_) => true,
+        };
         let conditions = [
             (StatusBit::AdcFault, self.converter.state() != AdcState::Running),
             (StatusBit::Uncalibrated, self.calibration.is_none()),
             (StatusBit::GainChanged, other_gain),
             (StatusBit::TrialRunning, self.trial.status().phase == TrialPhase::Running),
             (StatusBit::ClockFallback, self.clock == ClockSource::InternalFallback),
-            (StatusBit::StorageProblem, memory_failed),
+            (StatusBit::StorageProblem, calibration_failed || self.memory_failed),
         ];
         for (bit, set) in conditions {
             self.health.set(bit, set);

@@ -10,7 +10,7 @@ use crate::adc::AdcSettings;
 use crate::storage::items::{Settings, StoredCalibration};
 use crate::storage::job::{StoreJob, Stored};
 use crate::storage::keeper::Found;
-use crate::storage::memory::Kept;
+use crate::storage::memory::{Kept, StorageError};
 
 impl<Store, const GAGES: usize, const HIGHER: usize> Sensor<Store, GAGES, HIGHER>
 where
@@ -20,6 +20,7 @@ where
     /// that goes on; else as was kept; else to the gain that the calibration was made at.
     #[inline(never)]
     pub fn restore(&mut self, found: Found) {
+        self.awaits_memory = false;
         let mut settings = found.trial;
         let Ok(kept) = found.kept else {
             self.kept.current = KeptCalibration::Unreadable;
@@ -32,7 +33,8 @@ where
             settings = settings.or(Some(Settings { data_rate, gain }));
         }
         self.configure(settings);
-        let health = kept.health;
+        let (health, is_incomplete) = (kept.health, kept.is_incomplete);
+        self.memory_failed = is_incomplete;
         // Why it cannot be used, the status says.
         let _ = self.take_up(kept, true);
         // A tare is of a calibration, so it comes last.
@@ -65,6 +67,7 @@ where
     #[inline(never)]
     pub(super) fn store_job(&mut self, request: MemoryRequest) -> Result<StoreJob, Rejection> {
         self.require_nothing_stored(true)?;
+        self.require_no_self_test()?;
         if self.stream != StreamKind::Off || self.trial.require_idle().is_err() {
             return Err(Rejection::Measuring);
         }
@@ -74,23 +77,41 @@ where
                 StoreJob::Calibration(loaded.to_be_stored())
             }
             MemoryRequest::RollBack { to } => StoreJob::RollBack(to),
-            MemoryRequest::StoreSettings => StoreJob::Settings(self.settings(), self.health.kept()),
+            MemoryRequest::StoreSettings => StoreJob::Settings(self.settings(), *self.health.kept()),
             MemoryRequest::WriteName(name) => StoreJob::Name(name),
         };
         self.storing = true;
         Ok(job)
     }
 
+    /// What is to be stored now without anybody asking for it, if anything: peaks of the load, as soon as nobody measures.
+    pub fn housekeeping(&mut self) -> Option<StoreJob> {
+        let peaks = self.health.grown_peaks()?;
+        let is_quiet = self.stream == StreamKind::Off
+            && !(self.storing || self.awaits_memory || self.memory_failed)
+            && self.require_peace().is_ok();
+        self.storing |= is_quiet;
+        is_quiet.then_some(StoreJob::Peaks(peaks))
+    }
+
     /// Takes up what came of a [`StoreJob`], and says what to answer.
     #[inline(never)]
     pub fn finish_storing(&mut self, stored: Stored) -> Response {
         self.storing = false;
+        match &stored {
+            Stored::Kept(_) | Stored::Replaced(_) => self.memory_failed = false,
+            Stored::Failed(StorageError::NoSuchCalibration) | Stored::Prepared { .. } => {}
+            Stored::Failed(StorageError::Flash | StorageError::ReadBackDiffers | StorageError::NoRoom) => {
+                self.memory_failed = true;
+            }
+        }
         let served = match stored {
             Stored::Kept(kept) => self.take_up(kept, false).map(|()| Response::Done),
             Stored::Replaced(kept) => self.take_up(kept, true).map(|()| self.calibration_response()),
             Stored::Prepared { rank } => self.trial.start(rank, self.settings()).map(|()| Response::Done),
             Stored::Failed(error) => Err(error.into()),
         };
+        self.note_conditions();
         served.unwrap_or_else(Response::Rejected)
     }
 
@@ -101,9 +122,10 @@ where
 
     /// Notes what is kept; and uses it, if so wanted.
     fn take_up(&mut self, kept: Kept, use_it: bool) -> Result<(), Rejection> {
-        let Kept { calibration, calibrations, identity, .. } = kept;
+        let Kept { calibration, calibrations, identity, peaks, .. } = kept;
         self.kept = calibrations;
         self.identity = identity;
+        self.health.note_kept_peaks(peaks);
         let Some(stored) = calibration else { return Ok(()) };
         match LoadedCalibration::new(stored) {
             Ok(loaded) if use_it => self.use_calibration(loaded),

@@ -6,7 +6,7 @@ use ftcal_shared::units::DeviceTime;
 use ftcal_shared::wire::frame::encode;
 use ftcal_shared::wire::{Rejection, Request, RequestId, Response, ToDevice, ToHost};
 
-use super::{HOST_SILENCE_MICROS, Order, RATE_TRIAL_MICROS, Session, Silence, hello};
+use super::{HOST_SILENCE_MICROS, Order, RATE_TRIAL_MICROS, Session, Silence, Ticket, hello};
 use crate::baud::DEFAULT_BAUD;
 
 const QUIET: Silence = Silence { end_stream: false, fall_back: false };
@@ -25,6 +25,11 @@ fn order(session: &mut Session, message: &ToDevice, now: DeviceTime) -> Option<O
     orders.pop()
 }
 
+/// What is asked for by [`start`], after so many greetings.
+fn serve(id: RequestId, conversation: u8) -> Order {
+    Order::Serve(Ticket { id, conversation }, Request::StartTrial { rank: 3 })
+}
+
 fn start(id: RequestId) -> ToDevice {
     ToDevice::Request(id, Request::StartTrial { rank: 3 })
 }
@@ -32,22 +37,24 @@ fn start(id: RequestId) -> ToDevice {
 #[test]
 fn a_request_that_comes_again_is_answered_again_and_served_once() {
     let mut session = Session::new();
-    let serve = Some(Order::Serve(7, Request::StartTrial { rank: 3 }));
-    assert_eq!(order(&mut session, &start(7), at(0)), serve);
+    assert_eq!(order(&mut session, &start(7), at(0)), Some(serve(7, 0)));
     // While it is being worked on there is nothing to say.
     assert_eq!(order(&mut session, &start(7), at(1)), None);
     let response = Response::Rejected(Rejection::TrialBusy);
-    session.answered(7, &response);
-    let answer = Some(Order::Send(ToHost::Response(7, response)));
+    let message = ToHost::Response(7, response.clone());
+    assert_eq!(session.answer(Ticket { id: 7, conversation: 0 }, response), Some(message.clone()));
+    let answer = Some(Order::Send(message));
     assert_eq!(order(&mut session, &start(7), at(2)), answer);
     assert_eq!(order(&mut session, &start(7), at(3)), answer);
     // Another number is another request; an answer to one before is not taken for its answer.
-    assert_eq!(order(&mut session, &start(8), at(4)), Some(Order::Serve(8, Request::StartTrial { rank: 3 })));
-    session.answered(7, &Response::Done);
+    assert_eq!(order(&mut session, &start(8), at(4)), Some(serve(8, 0)));
+    let _ = session.answer(Ticket { id: 7, conversation: 0 }, Response::Done);
     assert_eq!(order(&mut session, &start(8), at(5)), None);
-    // A greeting begins anew.
+    // A greeting begins anew, and what was asked before it is not answered any more.
     assert_eq!(order(&mut session, &ToDevice::Hello, at(6)), Some(Order::Send(ToHost::Hello(hello()))));
-    assert_eq!(order(&mut session, &start(8), at(7)), Some(Order::Serve(8, Request::StartTrial { rank: 3 })));
+    assert_eq!(order(&mut session, &start(8), at(7)), Some(serve(8, 1)));
+    assert_eq!(session.answer(Ticket { id: 8, conversation: 0 }, Response::Done), None);
+    assert_eq!(order(&mut session, &start(8), at(8)), None);
 }
 
 #[test]
@@ -66,7 +73,7 @@ fn garbage_costs_at_most_the_frame_that_it_runs_into() {
         let served: Vec<RequestId> = orders(&mut session, &bytes, at(0))
             .into_iter()
             .map(|order| match order {
-                Order::Serve(id, Request::StartTrial { rank: 3 }) => id,
+                Order::Serve(Ticket { id, .. }, Request::StartTrial { rank: 3 }) => id,
                 other => panic!("{other:?} was not asked for"),
             })
             .collect();
@@ -93,9 +100,10 @@ fn a_host_that_says_nothing_is_gone_after_a_while() {
 fn a_rate_at_which_nothing_is_heard_is_given_up() {
     let mut session = Session::new();
     let change = ToDevice::Request(1, Request::ChangeRate(2_000_000));
-    let ordered = Some(Order::ChangeRate(1, 2_000_000));
+    let ticket = Ticket { id: 1, conversation: 0 };
+    let ordered = Some(Order::ChangeRate(ticket, 2_000_000));
     assert_eq!(order(&mut session, &change, at(0)), ordered);
-    session.answered(1, &Response::Done);
+    let _ = session.answer(ticket, Response::Done);
     session.rate_changed(2_000_000, at(0));
     assert_eq!(session.watch(at(RATE_TRIAL_MICROS)), QUIET);
     assert!(session.watch(at(RATE_TRIAL_MICROS + 1)).fall_back);

@@ -127,32 +127,16 @@ impl Checkpoints {
         Self { run: None }
     }
 
-    /// Prepares a sector for a new trial; erases it where that is needed. Where that is needed and may not be, the trial will have no
-    /// checkpoints.
-    ///
-    /// # Errors
-    ///
-    /// [`StorageError::Flash`]; the trial will have no checkpoints.
-    pub fn begin<Flash: NorFlash>(
-        &mut self,
-        flash: &mut Flash,
-        gages: usize,
-        may_erase: bool,
-    ) -> Result<(), StorageError> {
+    /// Prepares a sector for a new trial; erases it where that is needed. Where that is needed and may not be, or where the flash fails,
+    /// the trial will have no checkpoints; and neither has any other from then on, for it would be taken for this one.
+    pub fn begin<Flash: NorFlash>(&mut self, flash: &mut Flash, gages: usize, may_erase: bool) {
         let () = Fits::<Flash>::CHECK;
-        self.run = None;
-        let heads = [head(flash, 0)?, head(flash, 1)?].map(|head| head.map(|(number, _)| number));
-        let (side, number) = match heads {
-            [None, None] => (0, 1),
-            [Some(newest), None] => (1, newest.wrapping_add(1)),
-            [Some(one), Some(other)] if is_newer(one, other) => (1, one.wrapping_add(1)),
-            [_, Some(newest)] => (0, newest.wrapping_add(1)),
-        };
-        if prepare(flash, side, may_erase)? {
-            write_head(flash, side, number, gages)?;
-            self.run = Some(Run { side, number, place: 0, due: None, is_complete: false });
+        self.run = prepare_run(flash, gages, may_erase).unwrap_or(None);
+        if self.run.is_none() {
+            for side in 0..2 {
+                bury(flash, side);
+            }
         }
-        Ok(())
     }
 
     /// Makes a checkpoint if one is due. To be called by whoever has nothing else to do.
@@ -208,12 +192,17 @@ impl Checkpoints {
         Store: DerefMut<Target = Bins<GAGES, HIGHER>>,
         Access: TrialAccess<Store, GAGES, HIGHER>,
     {
-        let heads = [head(flash, 0)?, head(flash, 1)?];
-        let (side, number, gages) = match heads {
-            [None, None] => return Ok(None),
-            [Some((number, gages)), None] => (0, number, gages),
-            [Some((one, gages)), Some((other, _))] if is_newer(one, other) => (0, one, gages),
-            [_, Some((number, gages))] => (1, number, gages),
+        let (side, number, gages) = match [head(flash, 0)?, head(flash, 1)?] {
+            [Head::Trial { number, gages }, Head::Blank | Head::Dead] => (0, number, gages),
+            [Head::Trial { number, gages }, Head::Trial { number: other, .. }] if is_newer(number, other) => {
+                (0, number, gages)
+            }
+            [_, Head::Trial { number, gages }] => (1, number, gages),
+            [Head::Blank, Head::Blank] => return Ok(None),
+            [Head::Blank | Head::Dead, Head::Blank | Head::Dead] => {
+                access.with(Trial::note_loss);
+                return Ok(None);
+            }
         };
         let resumed = if gages == GAGES { self.resume_from(flash, side, number, access)? } else { None };
         if resumed.is_none() {
@@ -275,18 +264,67 @@ const fn later(now: DeviceTime, micros: u64) -> DeviceTime {
     DeviceTime::from_micros(now.as_micros().saturating_add(micros))
 }
 
-/// Number and gages of the trial in this sector.
-fn head<Flash: NorFlash>(flash: &mut Flash, side: u32) -> Result<Option<(u32, usize)>, StorageError> {
+/// What a trial's sector begins with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Head {
+    /// No trial.
+    Blank,
+    /// A trial that had no checkpoints, or whose number cannot be read.
+    Dead,
+    /// This trial.
+    Trial { number: u32, gages: usize },
+}
+
+impl Head {
+    const fn number(self) -> Option<u32> {
+        match self {
+            Self::Trial { number, .. } => Some(number),
+            Self::Blank | Self::Dead => None,
+        }
+    }
+}
+
+fn head<Flash: NorFlash>(flash: &mut Flash, side: u32) -> Result<Head, StorageError> {
     let start = side * SECTOR;
-    if read_word(flash, start)? != SEAL {
-        return Ok(None);
+    if read_word(flash, start)? != SEAL || is_blank(flash, start + HEAD, start + HEAD + HEAD_WORDS * WORD)? {
+        return Ok(Head::Blank);
     }
     let mut words = WordReader::new(flash, start + HEAD);
     let (Some(number), Some(gages)) = (words.next_word(), words.next_word()) else {
         return Err(StorageError::Flash);
     };
     let expected = words.checksum();
-    Ok((words.next_word() == Some(expected)).then_some((number, gages as usize)))
+    let is_whole = words.next_word() == Some(expected);
+    Ok(if is_whole { Head::Trial { number, gages: gages as usize } } else { Head::Dead })
+}
+
+/// Has the trial in this sector, if there is one, resumed no more. Nothing is to be done about a flash that fails; it fails on the next
+/// start, too.
+fn bury<Flash: NorFlash>(flash: &mut Flash, side: u32) {
+    if head(flash, side).is_ok_and(|head| head.number().is_some()) {
+        for word in 0..HEAD_WORDS {
+            let _ = write_word(flash, side * SECTOR + HEAD + word * WORD, 0);
+        }
+    }
+}
+
+/// The sector of a new trial; `None` where it would have to be erased first, and may not.
+fn prepare_run<Flash: NorFlash>(
+    flash: &mut Flash,
+    gages: usize,
+    may_erase: bool,
+) -> Result<Option<Run>, StorageError> {
+    let (side, number) = match [head(flash, 0)?.number(), head(flash, 1)?.number()] {
+        [None, None] => (0, 1),
+        [Some(newest), None] => (1, newest.wrapping_add(1)),
+        [Some(one), Some(other)] if is_newer(one, other) => (1, one.wrapping_add(1)),
+        [_, Some(newest)] => (0, newest.wrapping_add(1)),
+    };
+    if !prepare(flash, side, may_erase)? {
+        return Ok(None);
+    }
+    write_head(flash, side, number, gages)?;
+    Ok(Some(Run { side, number, place: 0, due: None, is_complete: false }))
 }
 
 fn write_head<Flash: NorFlash>(

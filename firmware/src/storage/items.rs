@@ -5,7 +5,7 @@ use ftcal_shared::wire::{CalibrationOrigin, CalibrationUpload, SensorName};
 use serde::{Deserialize, Serialize};
 
 use super::record::Key;
-use crate::health::KeptHealth;
+use crate::health::{KeptHealth, KeptPeaks};
 
 /// Something that is kept under a key of its own. To keep something else, implement this for it, and give it a new key.
 pub trait Item: Serialize + PartialEq + for<'bytes> Deserialize<'bytes> {
@@ -52,6 +52,11 @@ impl Item for Settings {
 
 impl Item for KeptHealth {
     const KEY: ItemKey = ItemKey(Key::Health);
+    const FORMAT: u8 = 2;
+}
+
+impl Item for KeptPeaks {
+    const KEY: ItemKey = ItemKey(Key::Peaks);
     const FORMAT: u8 = 1;
 }
 

@@ -9,7 +9,7 @@ use ftcal_shared::wire::{Rejection, SensorName};
 
 use super::items::{Settings, StoredCalibration};
 use super::memory::{Kept, StorageError};
-use crate::health::KeptHealth;
+use crate::health::{KeptHealth, KeptPeaks};
 
 /// What is to be done.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,10 +20,12 @@ pub enum StoreJob {
     Renewal(StoredCalibration),
     /// Make the previous calibration, of this identity, the current one.
     RollBack(u32),
-    /// Keep these settings, and with them limits, tare and peaks.
+    /// Keep these settings, and with them limits and tare.
     Settings(Settings, KeptHealth),
     /// Keep this name.
     Name(SensorName),
+    /// Keep the largest loads.
+    Peaks(KeptPeaks),
     /// Make room for the checkpoints of a new trial.
     PrepareTrial {
         /// The trial's proper rank.

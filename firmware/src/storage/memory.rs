@@ -16,7 +16,7 @@ use serde::de::DeserializeOwned;
 use super::items::{Counters, Entry, Item, Name, Roster, Settings, Slot, StoredCalibration};
 use super::pages::{PAGE, Pages, PagesError};
 use super::record::{KEYS, Key, LONGEST, Missing, decode, encode};
-use crate::health::KeptHealth;
+use crate::health::{KeptHealth, KeptPeaks};
 
 /// Room for the longest record and its key.
 const ROOM: usize = LONGEST + 8;
@@ -28,6 +28,7 @@ type Map<'flash, Flash> = MapStorage<u8, Pages<'flash, Flash>, Places>;
 
 /// Why something is not kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(target_os = "none", derive(defmt::Format))]
 pub enum StorageError {
     /// The flash reports an error, or what is in it makes no sense.
     Flash,
@@ -48,8 +49,12 @@ pub struct Kept {
     pub calibrations: KeptCalibrations,
     /// How the converter is to be set; `None` where that was never stored.
     pub settings: Option<Settings>,
-    /// Limits, tare and peaks; `None` where they were never stored.
+    /// Limits and tare; `None` where they were never stored.
     pub health: Option<KeptHealth>,
+    /// Peaks of the load; `None` where they were never stored.
+    pub peaks: Option<KeptPeaks>,
+    /// Something that was stored besides the calibrations cannot be read.
+    pub is_incomplete: bool,
     /// Name and counters.
     pub identity: Identity,
 }
@@ -81,9 +86,13 @@ impl<Flash: NorFlash> Memory<Flash> {
     /// [`StorageError::Flash`].
     pub fn start(&mut self) -> Result<Kept, StorageError> {
         let mut found = self.survey()?;
-        found.counters.boots = found.counters.boots.saturating_add(1);
-        let _ = self.append(&found.counters);
-        self.kept(found)
+        let mut counters = found.counters.unwrap_or_default();
+        counters.boots = counters.boots.saturating_add(1);
+        let _ = self.append(&counters);
+        let is_incomplete = found.is_incomplete();
+        found.counters = Ok(counters);
+        let kept = self.kept(found)?;
+        Ok(Kept { is_incomplete, ..kept })
     }
 
     /// Reads what is kept.
@@ -94,17 +103,20 @@ impl<Flash: NorFlash> Memory<Flash> {
     pub fn read(&mut self) -> Result<Kept, StorageError> {
         let found = Found {
             rosters: [self.get(Key::Roster, Roster::FORMAT)?, self.get(Key::RosterCopy, Roster::FORMAT)?],
-            settings: self.load()?.ok(),
-            health: self.load()?.ok(),
-            name: self.load()?.unwrap_or_default(),
-            counters: self.load()?.unwrap_or_default(),
+            settings: self.load()?,
+            health: self.load()?,
+            peaks: self.load()?,
+            name: self.load()?,
+            counters: self.load()?,
         };
         self.kept(found)
     }
 
     fn kept(&mut self, found: Found) -> Result<Kept, StorageError> {
-        let Found { rosters, settings, health, name: Name(name), counters: Counters { boots, stores } } =
-            found;
+        let is_incomplete = found.is_incomplete();
+        let Found { rosters, settings, health, peaks, name, counters } = found;
+        let (Name(name), Counters { boots, stores }) =
+            (name.unwrap_or_default(), counters.unwrap_or_default());
         let roster = newest(rosters);
         let mut calibrations = KeptCalibrations {
             current: KeptCalibration::Nothing,
@@ -122,7 +134,15 @@ impl<Flash: NorFlash> Memory<Flash> {
                 }
             },
         }
-        Ok(Kept { calibration, calibrations, settings, health, identity: Identity { name, boots, stores } })
+        Ok(Kept {
+            calibration,
+            calibrations,
+            settings: settings.ok(),
+            health: health.ok(),
+            peaks: peaks.ok(),
+            is_incomplete,
+            identity: Identity { name, boots, stores },
+        })
     }
 
     /// All but the calibrations, in one look through the flash instead of one for each.
@@ -292,16 +312,24 @@ impl<Flash: NorFlash> Memory<Flash> {
 /// What is kept besides the calibrations.
 struct Found {
     rosters: [Result<Roster, Missing>; 2],
-    settings: Option<Settings>,
-    health: Option<KeptHealth>,
-    name: Name,
-    counters: Counters,
+    settings: Result<Settings, Missing>,
+    health: Result<KeptHealth, Missing>,
+    peaks: Result<KeptPeaks, Missing>,
+    name: Result<Name, Missing>,
+    counters: Result<Counters, Missing>,
 }
 
 impl Default for Found {
     fn default() -> Self {
-        let (settings, name, counters) = (None, Name::default(), Counters::default());
-        Self { rosters: [Err(Missing::Nothing); 2], settings, health: None, name, counters }
+        let nothing = Missing::Nothing;
+        Self {
+            rosters: [Err(nothing); 2],
+            settings: Err(nothing),
+            health: Err(nothing),
+            peaks: Err(nothing),
+            name: Err(nothing),
+            counters: Err(nothing),
+        }
     }
 }
 
@@ -313,14 +341,28 @@ impl Found {
         } else if key == Key::RosterCopy as u8 {
             self.rosters[1] = decode(Key::RosterCopy, Roster::FORMAT, record);
         } else if key == Key::Settings as u8 {
-            self.settings = decode(Key::Settings, Settings::FORMAT, record).ok();
+            self.settings = decode(Key::Settings, Settings::FORMAT, record);
         } else if key == Key::Health as u8 {
-            self.health = decode(Key::Health, KeptHealth::FORMAT, record).ok();
+            self.health = decode(Key::Health, KeptHealth::FORMAT, record);
+        } else if key == Key::Peaks as u8 {
+            self.peaks = decode(Key::Peaks, KeptPeaks::FORMAT, record);
         } else if key == Key::Name as u8 {
-            self.name = decode(Key::Name, Name::FORMAT, record).unwrap_or_default();
+            self.name = decode(Key::Name, Name::FORMAT, record);
         } else if key == Key::Counters as u8 {
-            self.counters = decode(Key::Counters, Counters::FORMAT, record).unwrap_or_default();
+            self.counters = decode(Key::Counters, Counters::FORMAT, record);
         }
+    }
+
+    /// Whether one of these was stored and cannot be read.
+    fn is_incomplete(&self) -> bool {
+        const fn is_lost<Kind>(found: &Result<Kind, Missing>) -> bool {
+            matches!(found, Err(Missing::Corrupt | Missing::OtherFormat(_)))
+        }
+        is_lost(&self.settings)
+            || is_lost(&self.health)
+            || is_lost(&self.peaks)
+            || is_lost(&self.name)
+            || is_lost(&self.counters)
     }
 }
 

@@ -35,12 +35,14 @@ pub(super) enum Key {
     Name = 7,
     /// Boots and stores.
     Counters = 8,
-    /// Limits, tare and peaks.
+    /// Limits and tare.
     Health = 9,
+    /// Peaks of the load.
+    Peaks = 10,
 }
 
 /// Keys that there are.
-pub(super) const KEYS: usize = 9;
+pub(super) const KEYS: usize = 10;
 
 /// Why there is no item.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

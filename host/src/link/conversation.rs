@@ -14,7 +14,7 @@ use std::time::Duration;
 use ftcal_firmware::baud::DEFAULT_BAUD;
 use ftcal_shared::wire::frame::{Decoder, END_OF_FRAME, encode};
 use ftcal_shared::wire::{
-    Hello, PRODUCT, PROTOCOL_VERSION, Request, RequestId, Response, StreamKind, ToDevice, ToHost,
+    Hello, PRODUCT, PROTOCOL_VERSION, Rejection, Request, RequestId, Response, StreamKind, ToDevice, ToHost,
 };
 
 use super::continuity::Continuity;
@@ -35,6 +35,10 @@ const RATE_CHANGE: Duration = Duration::from_millis(50);
 const FIRST_ANSWER: Duration = Duration::from_millis(700);
 /// When the sensor is back at its usual rate after another did not work.
 const FALL_BACK: Duration = Duration::from_millis(1200);
+/// How long the memory may be at work: while it is, nothing is begun that it would hold up.
+const STORING: Duration = Duration::from_secs(5);
+/// Between two questions whether it is done.
+const STORING_POLL: Duration = Duration::from_millis(20);
 /// Samples that are kept while nobody takes them: a minute at 1000 a second.
 const KEPT_SAMPLES: usize = 60_000;
 
@@ -209,8 +213,19 @@ impl<Line: Transport> Conversation<Line> {
         Ok(())
     }
 
-    /// One request and its response.
+    /// One request and its response. Where the sensor is just writing to its memory, the request is made again when it is done.
     pub(super) fn request(&mut self, request: Request, within: Duration) -> Result<Response, ClientError> {
+        let begin = self.line.elapsed();
+        while self.line.elapsed() < begin + STORING {
+            match self.request_once(request.clone(), within) {
+                Err(ClientError::Rejected(Rejection::Storing)) => self.wait(STORING_POLL)?,
+                other => return other,
+            }
+        }
+        self.request_once(request, within)
+    }
+
+    fn request_once(&mut self, request: Request, within: Duration) -> Result<Response, ClientError> {
         let id = self.number();
         if let Request::Stream(kind) = request {
             self.next_stream = Some((id, kind));

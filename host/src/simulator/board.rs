@@ -19,7 +19,7 @@ use embedded_hal::delay::DelayNs;
 use ftcal_firmware::baud::{DEFAULT_BAUD, divisor};
 use ftcal_firmware::polled::PolledSensor;
 use ftcal_firmware::sensor::{LinkCounters, Reaction};
-use ftcal_firmware::session::{Order, Session};
+use ftcal_firmware::session::{Order, Session, Ticket};
 use ftcal_firmware::storage::job::StoreJob;
 use ftcal_firmware::storage::keeper::Keeper;
 use ftcal_firmware::stream::{Batcher, Moment};
@@ -28,9 +28,7 @@ use ftcal_shared::estimation::bins::Bins;
 use ftcal_shared::estimation::moments::higher_moment_count;
 use ftcal_shared::units::DeviceTime;
 use ftcal_shared::wire::frame::MAX_FRAME;
-use ftcal_shared::wire::{
-    ClockSource, Diagnosis, Rejection, Request, RequestId, ResetCause, Response, ToHost,
-};
+use ftcal_shared::wire::{ClockSource, Diagnosis, Rejection, Request, ResetCause, Response};
 use thiserror::Error;
 
 use super::bench::Bench;
@@ -197,8 +195,8 @@ struct GageBoard<const GAGES: usize, const HIGHER: usize> {
     polled: PolledSensor<SharedBench, Store<GAGES, HIGHER>, GAGES, HIGHER>,
     session: Session,
     keeper: Keeper<SimulatedFlash>,
-    solving: Option<(RequestId, SolveJob<Store<GAGES, HIGHER>, GAGES, HIGHER>)>,
-    storing: Option<(RequestId, StoreJob)>,
+    solving: Option<(Ticket, SolveJob<Store<GAGES, HIGHER>, GAGES, HIGHER>)>,
+    storing: Option<(Ticket, StoreJob)>,
     next_tick: DeviceTime,
     moments: VecDeque<Moment>,
     dropped_samples: u32,
@@ -233,18 +231,21 @@ impl<const GAGES: usize, const HIGHER: usize> GageBoard<GAGES, HIGHER> {
     fn on_order(&mut self, order: Order) {
         match order {
             Order::Send(message) => self.line.send(&message),
-            Order::Serve(id, request) => self.on_request(id, request),
-            Order::ChangeRate(id, baud) if divisor(LINE_CLOCK_HERTZ, baud).is_some() => {
-                self.respond(id, Response::Done);
+            Order::Serve(ticket, request) => self.on_request(ticket, request),
+            Order::ChangeRate(ticket, baud) if divisor(LINE_CLOCK_HERTZ, baud).is_some() => {
+                self.respond(ticket, Response::Done);
                 self.change_rate(baud);
             }
-            Order::ChangeRate(id, _) => self.respond(id, Response::Rejected(Rejection::UnsupportedRate)),
+            Order::ChangeRate(ticket, _) => {
+                self.respond(ticket, Response::Rejected(Rejection::UnsupportedRate));
+            }
         }
     }
 
-    fn respond(&mut self, id: RequestId, response: Response) {
-        self.session.answered(id, &response);
-        self.line.send(&ToHost::Response(id, response));
+    fn respond(&mut self, ticket: Ticket, response: Response) {
+        if let Some(message) = self.session.answer(ticket, response) {
+            self.line.send(&message);
+        }
     }
 
     /// Changes the line's rate when all that waits has left.
@@ -264,7 +265,7 @@ impl<const GAGES: usize, const HIGHER: usize> GageBoard<GAGES, HIGHER> {
         }
     }
 
-    fn on_request(&mut self, id: RequestId, request: Request) {
+    fn on_request(&mut self, ticket: Ticket, request: Request) {
         let counters = LinkCounters {
             dropped_samples: self.dropped_samples,
             broken_frames: self.session.broken_frames(),
@@ -275,10 +276,10 @@ impl<const GAGES: usize, const HIGHER: usize> GageBoard<GAGES, HIGHER> {
             self.batcher.clear();
         }
         match self.polled.sensor.answer(request, self.now(), counters) {
-            Reaction::Respond(response) => self.respond(id, response),
-            Reaction::Solve(job) => self.solving = Some((id, job)),
-            Reaction::Diagnose => self.respond(id, Response::Diagnosis(DIAGNOSIS)),
-            Reaction::Store(job) => self.storing = Some((id, job)),
+            Reaction::Respond(response) => self.respond(ticket, response),
+            Reaction::Solve(job) => self.solving = Some((ticket, job)),
+            Reaction::Diagnose => self.respond(ticket, Response::Diagnosis(DIAGNOSIS)),
+            Reaction::Store(job) => self.storing = Some((ticket, job)),
         }
     }
 
@@ -322,18 +323,22 @@ impl<const GAGES: usize, const HIGHER: usize> Board for GageBoard<GAGES, HIGHER>
             self.panel.set_light(self.polled.sensor.attend_panel(now, self.panel.is_pressed()));
             self.watch_host(now);
         }
-        if let Some((id, mut job)) = self.solving.take() {
+        if let Some((ticket, mut job)) = self.solving.take() {
             let response = job.response();
             self.polled.sensor.finish_solving(job);
-            self.respond(id, response);
+            self.respond(ticket, response);
         }
-        if let Some((id, job)) = self.storing.take() {
+        if let Some((ticket, job)) = self.storing.take() {
             let response = self.polled.sensor.finish_storing(self.keeper.run(&job));
-            self.respond(id, response);
+            self.respond(ticket, response);
         }
         if let Some(task) = self.polled.sensor.field_task(self.now()) {
             let done = task.run(&mut self.keeper);
             self.polled.sensor.finish_field(done, self.now());
+        }
+        if let Some(job) = self.polled.sensor.housekeeping() {
+            // It was nobody's request.
+            let _ = self.polled.sensor.finish_storing(self.keeper.run(&job));
         }
         self.keeper.attend(self.now(), &mut self.polled.sensor);
         let announced = self.bench.with(Bench::next_conversion);

@@ -86,8 +86,7 @@ impl Life {
     }
 
     fn begin(&mut self, may_erase: bool) {
-        // Where it fails, the trial goes on without.
-        let _ = self.checkpoints.begin(&mut self.flash, GAGES, may_erase);
+        self.checkpoints.begin(&mut self.flash, GAGES, may_erase);
         self.bench.trial.start(2, SETTINGS).unwrap();
     }
 
@@ -250,9 +249,28 @@ fn nothing_is_erased_where_that_is_not_allowed() {
 }
 
 #[test]
+fn a_trial_without_checkpoints_is_lost_and_no_other_is_taken_for_it() {
+    let mut life = running();
+    life.stop();
+    life.begin(true);
+    life.run(30);
+    life.stop();
+    // Both sectors have a trial by now.
+    life.begin(false);
+    life.run(30);
+    let mut life = Life::new(life.flash);
+    let status = life.bench.status();
+    assert_eq!((status.phase, status.resumption), (TrialPhase::None, Resumption::Lost));
+    life.begin(true);
+    life.run(30);
+    assert!(life.bench.status().checkpointed > 0);
+    assert_eq!(Life::new(life.flash).bench.status().resumption, Resumption::Resumed);
+}
+
+#[test]
 fn a_trial_of_another_number_of_gages_is_not_resumed_and_that_is_said() {
     let mut life = running();
-    life.checkpoints.begin(&mut life.flash, GAGES + 1, true).unwrap();
+    life.checkpoints.begin(&mut life.flash, GAGES + 1, true);
     assert_eq!(Life::new(life.flash).bench.status().resumption, Resumption::Lost);
 }
 
