@@ -43,6 +43,9 @@ const LARGEST_CORRUPTED_RUN: u8 = 8;
 /// Time from the end of an attempt to start a faulty converter to the next.
 const RESTART_INTERVAL_MICROS: u64 = 500_000;
 
+/// Conversions that are left of the range of a count that is about to begin at zero again.
+const BEFORE_ZERO: u32 = 10_000;
+
 /// One conversion of the gages in use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Sample<const GAGES: usize> {
@@ -122,6 +125,18 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
             in_doubt: false,
             after_gap: false,
         }
+    }
+
+    /// Goes on counting as one that has run for so long that its counts are about to begin at zero again: for tests of what happens then.
+    pub fn count_on(&mut self) {
+        let almost = u32::MAX - BEFORE_ZERO;
+        self.counters = ConversionCounters {
+            read: almost,
+            lost: u32::MAX - 3,
+            corrupted: u32::MAX - 1,
+            overrun: u32::MAX,
+        };
+        self.next_index = SampleIndex::new(almost);
     }
 
     /// State of the converter. One that fell silent stays at fault until a conversion has come: that it could be set up
@@ -251,20 +266,17 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
     /// The newer of what the converter keeps: the second frame where that is new, else the first.
     #[cold]
     fn read_past_backlog(&mut self, codes: &mut [AdcCode; CHANNELS]) -> Result<(), AdcFault> {
-        // The answer to a question is no status; then another frame says whether there is more.
-        let first = match self.adc.read_codes(false, codes)? {
-            None => {
-                self.in_doubt = false;
-                self.adc.read_codes(false, codes)?
-            }
-            status => status,
-        };
+        let first = self.adc.read_codes(false, codes)?;
+        if first.is_none() {
+            // It was asked who it is, and has said so in time.
+            self.in_doubt = false;
+        }
         let mut newer = [AdcCode::ZERO; CHANNELS];
         let second = self.adc.read_codes(false, &mut newer)?;
         if second.is_some_and(Self::is_new) {
             *codes = newer;
             Ok(())
-        } else if first.is_some_and(Self::is_new) {
+        } else if first.is_none_or(Self::is_new) {
             Ok(())
         } else {
             Err(AdcFault::StaleConversion)

@@ -74,9 +74,9 @@ mod app {
     const HIGHER: usize = higher_moment_count(GAGES);
 
     /// Bytes in either direction that wait for the session or for the line; the longest frame has 521.
-    const LINK_QUEUE: usize = 768;
-    /// Samples of the stream that wait for the session: at 8000 a second, 4 ms.
-    const MOMENT_QUEUE: usize = 32;
+    const LINK_QUEUE: usize = 640;
+    /// Samples of the stream that wait for the session: at 8000 a second, 2 ms.
+    const MOMENT_QUEUE: usize = 16;
     /// Readings that wait to be worked off: at 32 000 a second, half a millisecond.
     const READING_QUEUE: usize = 16;
 
@@ -187,8 +187,12 @@ mod app {
         let mut sensor = Sensor::new(context.local.store, board.clock);
         sensor.note_start(&board.start.diagnosis());
         sensor.await_memory();
+        let mut acquisition = Acquisition::new(board.converter);
+        if cfg!(feature = "soak") {
+            acquisition.count_on();
+        }
         let shared = Shared {
-            acquisition: Acquisition::new(board.converter),
+            acquisition,
             sensor,
             job: None,
             store_job: None,
@@ -488,7 +492,7 @@ mod app {
         keeper: &mut Keeper<Flash>,
         sensor: &mut impl Mutex<T = Sensor<Store, GAGES, HIGHER>>,
     ) -> bool {
-        let Some(job) = sensor.lock(Sensor::housekeeping) else { return false };
+        let Some(job) = sensor.lock(|sensor| sensor.housekeeping(time_base::now())) else { return false };
         let stored = keeper.run(&job);
         // It was nobody's request.
         let _ = sensor.lock(|sensor| sensor.finish_storing(stored));

@@ -52,6 +52,11 @@ where
         Self { acquisition: Acquisition::new(spi), sensor: Sensor::new(store, clock) }
     }
 
+    /// See [`Acquisition::count_on`].
+    pub fn count_on(&mut self) {
+        self.acquisition.count_on();
+    }
+
     /// See [`Acquisition::tick`] and [`Sensor::tick`].
     pub fn tick(&mut self, now: DeviceTime, delay: &mut impl DelayNs) -> Option<Moment> {
         self.acquisition.tick(now, delay);

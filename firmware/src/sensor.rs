@@ -67,6 +67,7 @@ pub struct Sensor<Store, const GAGES: usize, const HIGHER: usize> {
     awaits_memory: bool,
     /// Something that was stored besides the calibrations cannot be read, or something could not be stored.
     memory_failed: bool,
+    next_housekeeping: DeviceTime,
     health: Health<GAGES>,
     self_test: SelfTest<GAGES>,
     field: Field,
@@ -118,6 +119,7 @@ where
             storing: false,
             awaits_memory: false,
             memory_failed: false,
+            next_housekeeping: DeviceTime::default(),
             health: Health::new(),
             self_test: SelfTest::new(),
             field: Field::new(),

@@ -18,6 +18,9 @@ use stm32f4xx_hal::time::Hertz;
 /// Completed halves of the counter's range.
 static HALVES: AtomicU32 = AtomicU32::new(0);
 
+/// Where the counter starts for a soak: a minute later it begins at zero again.
+const LATE: u32 = u32::MAX - 60_000_000;
+
 /// Starts the clock at zero, where it stands until then; `timer_clock` is what the timer counts before it divides.
 #[expect(clippy::needless_pass_by_value, reason = "taken for good: from here on nobody writes this timer")]
 pub(super) fn start(tim2: TIM2, timer_clock: Hertz, rcc: &mut Rcc) {
@@ -28,6 +31,10 @@ pub(super) fn start(tim2: TIM2, timer_clock: Hertz, rcc: &mut Rcc) {
     tim2.arr().write(|w| w.arr().set(u32::MAX));
     // The prescaler takes effect at an update.
     tim2.egr().write(|w| w.ug().set_bit());
+    if cfg!(feature = "soak") {
+        tim2.cnt().write(|w| w.cnt().set(LATE));
+        HALVES.store(1, Ordering::Relaxed);
+    }
     tim2.cr1().write(|w| w.cen().set_bit());
 }
 

@@ -4,16 +4,16 @@
 //! |---|---|
 //! | of a gage that has moved by more than [`LARGEST_DRIFT`] | refused: no drift does that |
 //! | of gages and a bias that are where they were, within three standard deviations | a confirmation: nothing is changed |
-//! | of a bias that has moved | a new bias, beside the matrix that there was |
-//! | of gages that have moved | a new calibration |
+//! | of biases that have moved | a new bias of those, beside the matrix that there was |
+//! | of gages that have moved | a new calibration, in which all others answer as they did |
 //!
 //! A standard deviation is what the trial predicts, and [`MODEL_ERROR`] besides: a hand does more to a load than chance does. Measured
 //! on sixteen simulated sensors turned by hand, against the truth: after 20 s the answer of some gage was off by up to 1.1 %, fifteen of these
 //! standard deviations; after 40 s by 0.12 %, 3.8 of them; after 80 s by 0.05 %, 1.7; after 160 s by 0.03 %, 1.0. So a trial
 //! has to last ([`super`]).
 //!
-//! So whatever is replaced was worse determined than what replaces it: it is off by three standard deviations of the new one at
-//! least, however well it was known once. And what no better is known about stays as it was.
+//! So whatever is replaced, gage by gage, was worse determined than what replaces it: it is off by three standard deviations of the new
+//! one at least, however well it was known once. And what no better is known about stays as it was.
 //!
 //! The bias has no limit of its own: it moves with temperature and time, the trial sees all of it, and how far it has moved is told.
 
@@ -100,14 +100,24 @@ pub fn judge<const GAGES: usize>(
         bias_shift_newton: shift.newton,
         load_newton: oriented.load_newton,
     };
-    let renewed = match (oriented.drift_deviations > MOVED, shift.has_moved) {
+    let has_moved = oriented.drift_deviations.map(|deviations| deviations > MOVED);
+    let renewed = match (has_moved.contains(&true), shift.has_moved.contains(&true)) {
         (true, _) => Renewed::ShapeAndBias,
         (false, true) => Renewed::Bias,
         (false, false) => return Ok(Judgement::Confirmed(found)),
     };
-    let mut upload = CalibrationUpload { bias_counts: solution.bias_counts.clone(), ..old.clone() };
+    let mut upload = old.clone();
+    let mut shape = known;
+    for gage in (0..GAGES).filter(|&gage| has_moved[gage] || shift.has_moved[gage]) {
+        upload.bias_counts[gage] = solution.bias_counts[gage];
+        if has_moved[gage] {
+            for (row, new) in shape.iter_mut().zip(&oriented.shape) {
+                row[gage] = new[gage];
+            }
+        }
+    }
     if renewed == Renewed::ShapeAndBias {
-        let matrix = dual(rank, &oriented.shape).ok_or(FieldRefusal::UnusableNumbers)?;
+        let matrix = dual(rank, &shape).ok_or(FieldRefusal::UnusableNumbers)?;
         for (new, exact) in upload.matrix.iter_mut().zip(matrix.as_flattened()) {
             *new = *exact;
         }
@@ -120,13 +130,14 @@ pub fn judge<const GAGES: usize>(
 }
 
 /// How far the codes with no load have moved.
-struct BiasShift {
+struct BiasShift<const GAGES: usize> {
     newton: f32,
-    has_moved: bool,
+    /// Gage by gage.
+    has_moved: [bool; GAGES],
 }
 
-impl BiasShift {
-    fn new<const GAGES: usize>(
+impl<const GAGES: usize> BiasShift<GAGES> {
+    fn new(
         old: &CalibrationUpload,
         solution: &Solution,
         coverage: &Coverage,
@@ -134,13 +145,13 @@ impl BiasShift {
         oriented: &Oriented<GAGES>,
     ) -> Self {
         let mut force = [[0.0]; MAX_RANK];
-        let mut has_moved = false;
+        let mut has_moved = [false; GAGES];
         let each = old.bias_counts.iter().zip(&solution.bias_counts).zip(&coverage.bias_deviation_counts);
         for (gage, ((old, new), deviation)) in each.enumerate().take(GAGES) {
             #[expect(clippy::cast_possible_truncation, reason = "a difference to seven digits")]
             let shift = (new - old) as f32;
             let of_model = MODEL_ERROR * oriented.load_newton * column_length(&oriented.shape, gage);
-            has_moved |= shift.abs() > MOVED * libm::sqrtf(deviation * deviation + of_model * of_model);
+            has_moved[gage] = shift.abs() > MOVED * libm::sqrtf(deviation * deviation + of_model * of_model);
             for (component, row) in force.iter_mut().zip(matrix) {
                 component[0] += row[gage] * shift;
             }

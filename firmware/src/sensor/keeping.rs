@@ -3,6 +3,7 @@
 use core::ops::DerefMut;
 
 use ftcal_shared::estimation::bins::Bins;
+use ftcal_shared::units::DeviceTime;
 use ftcal_shared::wire::{KeptCalibration, MemoryRequest, Rejection, Response, StreamKind};
 
 use super::{LoadedCalibration, Sensor};
@@ -11,6 +12,9 @@ use crate::storage::items::{Settings, StoredCalibration};
 use crate::storage::job::{StoreJob, Stored};
 use crate::storage::keeper::Found;
 use crate::storage::memory::{Kept, StorageError};
+
+/// Between two stores that nobody has asked for.
+const HOUSEKEEPING_MICROS: u64 = 10_000_000;
 
 impl<Store, const GAGES: usize, const HIGHER: usize> Sensor<Store, GAGES, HIGHER>
 where
@@ -84,14 +88,22 @@ where
         Ok(job)
     }
 
-    /// What is to be stored now without anybody asking for it, if anything: peaks of the load, as soon as nobody measures.
-    pub fn housekeeping(&mut self) -> Option<StoreJob> {
+    /// What is to be stored now without anybody asking for it, if anything: peaks of the load, as soon as nobody measures. Somebody may be
+    /// about to, so there is some time between two of these.
+    pub fn housekeeping(&mut self, now: DeviceTime) -> Option<StoreJob> {
+        if now < self.next_housekeeping {
+            return None;
+        }
         let peaks = self.health.grown_peaks()?;
         let is_quiet = self.stream == StreamKind::Off
             && !(self.storing || self.awaits_memory || self.memory_failed)
             && self.require_peace().is_ok();
-        self.storing |= is_quiet;
-        is_quiet.then_some(StoreJob::Peaks(peaks))
+        if !is_quiet {
+            return None;
+        }
+        self.next_housekeeping = DeviceTime::from_micros(now.as_micros() + HOUSEKEEPING_MICROS);
+        self.storing = true;
+        Some(StoreJob::Peaks(peaks))
     }
 
     /// Takes up what came of a [`StoreJob`], and says what to answer.

@@ -41,11 +41,11 @@ use super::sensor::SoftwareSensor;
 use crate::link::transport::{Transport, TransportError};
 
 /// Time between two ticks.
-const TICK_MICROS: u64 = 5_000;
+const TICK_MICROS: u64 = 2_000;
 /// Bytes that wait for the line at most, beside responses.
-const LINE_BUFFER: usize = 768;
+const LINE_BUFFER: usize = 640;
 /// Samples of the stream that wait at most.
-const MOMENT_QUEUE: usize = 32;
+const MOMENT_QUEUE: usize = 16;
 /// What the simulated serial port divides its rates from, as on the real board.
 const LINE_CLOCK_HERTZ: u32 = 42_000_000;
 /// What a byte becomes at the wrong rate, at either end, whatever it was.
@@ -71,6 +71,9 @@ pub trait Board: Send {
 
     /// The rate of the board's serial port.
     fn baud(&self) -> u32;
+
+    /// Has its counters soon begin at zero again.
+    fn count_on(&mut self);
 }
 
 /// Why a sensor cannot be put on a board.
@@ -134,6 +137,17 @@ impl SimulatedBoard {
             _ => return Err(UnsupportedGages { gages }),
         };
         Ok(Self { board, bench, panel, baud: DEFAULT_BAUD })
+    }
+
+    /// The same board, whose counters soon begin at zero again.
+    ///
+    /// # Errors
+    ///
+    /// [`UnsupportedGages`].
+    pub fn about_to_wrap(sensor: SoftwareSensor, seed: u64) -> Result<Self, UnsupportedGages> {
+        let mut board = Self::new(sensor, seed)?;
+        board.board.count_on();
+        Ok(board)
     }
 
     /// The bench under the board: to hang loads, turn the sensor and play faults while a client talks to the board.
@@ -336,7 +350,7 @@ impl<const GAGES: usize, const HIGHER: usize> Board for GageBoard<GAGES, HIGHER>
             let done = task.run(&mut self.keeper);
             self.polled.sensor.finish_field(done, self.now());
         }
-        if let Some(job) = self.polled.sensor.housekeeping() {
+        if let Some(job) = self.polled.sensor.housekeeping(self.now()) {
             // It was nobody's request.
             let _ = self.polled.sensor.finish_storing(self.keeper.run(&job));
         }
@@ -361,6 +375,10 @@ impl<const GAGES: usize, const HIGHER: usize> Board for GageBoard<GAGES, HIGHER>
 
     fn baud(&self) -> u32 {
         self.line.baud()
+    }
+
+    fn count_on(&mut self) {
+        self.polled.count_on();
     }
 }
 

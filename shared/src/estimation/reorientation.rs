@@ -79,8 +79,8 @@ pub struct Oriented<const GAGES: usize> {
     pub drift: f32,
     /// The gage that has changed so.
     pub gage: u8,
-    /// The largest change of the answer of a gage, in standard deviations.
-    pub drift_deviations: f32,
+    /// The change of each gage's answer, in standard deviations.
+    pub drift_deviations: [f32; GAGES],
 }
 
 /// Why there is no orientation.
@@ -140,13 +140,13 @@ pub fn orient<const GAGES: usize>(
     }
     scale(&mut turned, size);
     let load_newton = own_size / (size * fit.scale);
-    let mut oriented = Oriented { shape: turned, load_newton, drift: 0.0, gage: 0, drift_deviations: 0.0 };
+    let drift_deviations = core::array::from_fn(|gage| off[gage] / tolerances[gage]);
+    let mut oriented = Oriented { shape: turned, load_newton, drift: 0.0, gage: 0, drift_deviations };
     for (number, gage) in (0..).zip(0..GAGES) {
         let drift = off[gage] / answers[gage];
         if drift > oriented.drift {
             (oriented.drift, oriented.gage) = (drift, number);
         }
-        oriented.drift_deviations = oriented.drift_deviations.max(off[gage] / tolerances[gage]);
     }
     Ok(oriented)
 }
