@@ -1,6 +1,6 @@
 //! A calibration in the form that the sensor takes.
 
-use ftcal_shared::units::MAX_GAGES;
+use ftcal_shared::units::{Gain, MAX_GAGES};
 use ftcal_shared::wire::{CalibrationUpload, GageList};
 
 use super::Calibration;
@@ -20,13 +20,13 @@ pub enum UploadError {
 }
 
 impl Calibration {
-    /// The calibration as the sensor takes it: the matrix rounded to single precision (2⁻²⁴ of each element, far below
+    /// The calibration, made at this gain, as the sensor takes it: the matrix rounded to single precision (2⁻²⁴ of each element, far below
     /// any sensor's accuracy), the bias in full.
     ///
     /// # Errors
     ///
     /// [`UploadError`].
-    pub fn upload(&self) -> Result<CalibrationUpload, UploadError> {
+    pub fn upload(&self, gain: Gain) -> Result<CalibrationUpload, UploadError> {
         let too_many = UploadError::TooManyGages { gages: self.gages() };
         let mut matrix = heapless::Vec::new();
         for row in self.matrix.row_iter() {
@@ -43,7 +43,7 @@ impl Calibration {
             }
         }
         let bias_counts = GageList::from_slice(self.bias_counts.as_slice()).map_err(|_| too_many)?;
-        let mut upload = CalibrationUpload { dof: self.dof, bias_counts, matrix, identity: 0 };
+        let mut upload = CalibrationUpload { dof: self.dof, gain, bias_counts, matrix, identity: 0 };
         upload.identity = upload.identity_of_numbers();
         Ok(upload)
     }

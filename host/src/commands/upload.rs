@@ -29,8 +29,9 @@ pub struct Arguments {
 /// [`Failure`]; the sensor then keeps the calibration that it had, unless the failure says otherwise.
 pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> {
     let calibration = calibration_file::read(&arguments.calibration).map_err(Failure::input)?;
-    let upload = calibration.upload().with_context(|| shown(&arguments.calibration))?;
     let mut client = arguments.device.connect()?;
+    let gain = client.status()?.gain;
+    let upload = calibration.upload(gain).with_context(|| shown(&arguments.calibration))?;
     client.upload_calibration(&upload)?;
     writeln!(
         streams.words,
