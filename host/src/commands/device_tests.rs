@@ -7,7 +7,7 @@ use std::thread;
 use std::time::Duration;
 
 use clap::Parser;
-use ftcal_shared::units::AdcCode;
+use ftcal_shared::units::{AdcCode, Gain};
 use nalgebra::{UnitVector3, Vector3};
 use serde_json::Value;
 
@@ -91,17 +91,21 @@ fn a_recording_holds_what_was_asked_for() {
         parse(outcome.data.as_bytes(), "stdout").expect("a recording")
     };
     let outcome = ftcal(&board, &["record", "--samples", "50", "--rate", "500", "--gain", "64"]);
-    assert!(outcome.data.starts_with("t_s,ch0,ch1,ch2,ch3,ch4,ch5\n"));
+    assert!(outcome.data.starts_with("# converter gain: 64\nt_s,ch0,ch1,ch2,ch3,ch4,ch5\n"));
     assert!(outcome.words.starts_with("50 samples in 0.098 s, no gap, none saturated"), "{}", outcome.words);
     let recording = whole(&outcome);
-    assert_eq!((recording.gages(), recording.len()), (6, 50));
+    assert_eq!((recording.gages(), recording.len(), recording.gain()), (6, 50, Some(Gain::X64)));
     for (sample, (time_s, _)) in recording.samples().enumerate() {
         assert!((time_s - sample as f64 / 500.0).abs() < 1e-9);
     }
 
     // Half an open interval: the sample at 0.1 s belongs to the next one.
     let recording = whole(&ftcal(&board, &["record", "--seconds", "0.1"]));
-    assert_eq!(recording.len(), 50, "rate and gain stay as they were set");
+    assert_eq!(
+        (recording.len(), recording.gain()),
+        (50, Some(Gain::X64)),
+        "rate and gain stay as they were set"
+    );
 
     board.bench.with(|bench| bench.inject(Fault::SaturatedChannel { channel: 1, rail: Rail::Low }));
     board.bench.with(|bench| bench.inject(Fault::DataReadyLost { probability: 0.3 }));

@@ -91,8 +91,8 @@ fn record<Line: Transport>(
     words: &mut dyn Write,
     progress: bool,
 ) -> Result<(), Failure> {
-    let mut writer = RecordingWriter::new(output, usize::from(status.gages))?;
-    writer.comment(&format!("{} samples/s, gain {}", status.data_rate.hertz(), status.gain.factor()))?;
+    let mut writer = RecordingWriter::new(output, usize::from(status.gages), Some(status.gain))?;
+    writer.comment(&format!("{} samples/s", status.data_rate.hertz()))?;
     let mut saturated = 0_u64;
     let mut last_s = 0.0;
     let mut next_report_s = 0.0;
