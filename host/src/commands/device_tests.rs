@@ -65,6 +65,7 @@ pub(super) fn true_calibration(board: &ServedBoard, path: &Path) -> Calibration 
     let calibration = Calibration {
         dof: sensor.dof(),
         method: Method::Sfm,
+        gain: Some(Gain::X128),
         gravity: 9.80665,
         matrix: matrix_of_shape(sensor.shape()).expect("of full rank"),
         bias_counts: sensor.bias_counts().clone(),

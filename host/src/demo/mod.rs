@@ -158,7 +158,8 @@ pub fn run(options: &Options, out: &mut dyn Write, progress: &mut dyn Write) -> 
 
     let acquired = trials::acquire(&mut stage, &scenario, progress)?;
     let solved: Vec<_> = acquired.iter().map(|trial| trial.solved.clone()).collect();
-    let calibration = calibrate(scenario.sensor.dof(), trials::GRAVITY, &solved)?;
+    let of_trials = calibrate(scenario.sensor.dof(), trials::GRAVITY, &solved)?;
+    let calibration = Calibration { gain: Some(GAIN), ..of_trials };
     match solved.len() {
         1 => writeln!(progress, "Oriented by its known loads, handedness proven.")?,
         trials => writeln!(

@@ -10,6 +10,7 @@ use std::path::Path;
 use ftcal_shared::units::{Gain, MAX_GAGES};
 
 use super::{MIN_GAGES, Recording, shown};
+use crate::gain;
 use crate::place::Place;
 
 /// What a line begins with, behind its `#`, that states the gain.
@@ -147,9 +148,7 @@ fn gain_of_lines(text: &str) -> Result<Option<Gain>, Unexpected> {
             expected,
             found: quoted(value),
         };
-        let gain = value.parse().ok().and_then(Gain::from_factor).ok_or_else(|| {
-            unexpected(format!("a gain of {}", Gain::ALL.map(|gain| gain.factor().to_string()).join(", ")))
-        })?;
+        let gain = gain::of_text(value).ok_or_else(|| unexpected(gain::possible()))?;
         match stated {
             Some((first, other)) if other != gain => {
                 return Err(unexpected(format!("gain {} as in line {first}", other.factor())));
