@@ -1,6 +1,6 @@
 //! A calibration in the form that the sensor takes.
 
-use ftcal_shared::units::{Gain, MAX_GAGES};
+use ftcal_shared::units::MAX_GAGES;
 use ftcal_shared::wire::{CalibrationUpload, GageList};
 
 use super::Calibration;
@@ -8,6 +8,12 @@ use super::Calibration;
 /// Why a calibration does not fit the sensor's form.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum UploadError {
+    /// Nobody says at which gain the calibration was made.
+    #[error(
+        "field `gain`: expected the converter's gain that the calibration was made at, found nothing; if you know it, add \
+         `--gain N`, else calibrate again from recordings that say theirs, as those of `ftcal record` do"
+    )]
+    GainUnknown,
     /// An element of the matrix is beyond single precision.
     #[error("an element of the calibration matrix is too large for the sensor's single precision")]
     OutOfRange,
@@ -20,13 +26,14 @@ pub enum UploadError {
 }
 
 impl Calibration {
-    /// The calibration, made at this gain, as the sensor takes it: the matrix rounded to single precision (2⁻²⁴ of each element, far below
+    /// The calibration as the sensor takes it: the matrix rounded to single precision (2⁻²⁴ of each element, far below
     /// any sensor's accuracy), the bias in full.
     ///
     /// # Errors
     ///
     /// [`UploadError`].
-    pub fn upload(&self, gain: Gain) -> Result<CalibrationUpload, UploadError> {
+    pub fn upload(&self) -> Result<CalibrationUpload, UploadError> {
+        let gain = self.gain.ok_or(UploadError::GainUnknown)?;
         let too_many = UploadError::TooManyGages { gages: self.gages() };
         let mut matrix = heapless::Vec::new();
         for row in self.matrix.row_iter() {

@@ -78,10 +78,14 @@ pub(super) fn true_calibration(board: &ServedBoard, path: &Path) -> Calibration 
         checks: Vec::new(),
         drift: None,
     };
-    let mut file = Vec::new();
-    calibration_file::write(&calibration, &mut file).expect("memory takes everything");
-    fs::write(path, file).expect("a directory of our own");
+    write_calibration(&calibration, path);
     calibration
+}
+
+fn write_calibration(calibration: &Calibration, path: &Path) {
+    let mut file = Vec::new();
+    calibration_file::write(calibration, &mut file).expect("memory takes everything");
+    fs::write(path, file).expect("a folder of our own");
 }
 
 #[test]
@@ -254,6 +258,55 @@ fn uploaded_and_streamed_wrenches_are_the_truth_or_empty() {
 }
 
 #[test]
+fn a_calibration_holds_at_its_own_gain_and_at_no_other() {
+    let board = ServedBoard::new(ScenarioKind::Planar);
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("calibration.json");
+    let calibration = true_calibration(&board, &path);
+    let file = path.display().to_string();
+    assert!(ftcal(&board, &["upload", &file]).words.contains("gain 128), verified"));
+    let is_valid = || !ftcal(&board, &["stream", "--samples", "3"]).words.contains("3 of them no wrench");
+    assert!(is_valid());
+    assert!(ftcal(&board, &["record", "--samples", "3", "--gain", "64"]).has_code(0));
+    assert!(!is_valid());
+    let info = ftcal(&board, &["info", "--json"]).json();
+    assert_eq!((&info["converter"]["gain"], &info["calibration_gain"]), (&64.into(), &128.into()));
+    let health = ftcal(&board, &["health"]);
+    assert!(health.data.contains("`ftcal settings --gain N`"), "{}", health.data);
+
+    // While a trial runs, the gain stays, and no wrench is valid; afterwards, the upload brings its gain along.
+    assert!(ftcal(&board, &["trial", "start", "--rank", "2"]).has_code(0));
+    let outcome = ftcal(&board, &["upload", &file]);
+    assert!(
+        outcome.has_code(0)
+            && outcome.words.contains("CAUTION: no wrench is valid")
+            && outcome.words.contains("a trial is running")
+            && outcome.words.contains("`ftcal settings --gain 128`"),
+        "{}",
+        outcome.words
+    );
+    assert!(!is_valid());
+    assert!(ftcal(&board, &["trial", "stop"]).has_code(0));
+    let outcome = ftcal(&board, &["upload", &file, "--store"]);
+    assert!(outcome.words.contains("was at gain 64; it is set to gain 128"), "{}", outcome.words);
+    assert!(outcome.words.contains("`ftcal settings --store`"), "{}", outcome.words);
+    assert!(is_valid());
+
+    // One that is of nobody knows which gain is not guessed at; one that is of another gain is another one.
+    write_calibration(&Calibration { gain: None, ..calibration }, &path);
+    let outcome = ftcal(&board, &["upload", &file]);
+    assert!(outcome.has_code(2) && outcome.words.contains("add `--gain N`"), "{}", outcome.words);
+    let outcome = ftcal(&board, &["upload", &file, "--gain", "32", "--store"]);
+    assert!(outcome.words.contains("set to gain 32"), "{}", outcome.words);
+    let outcome = ftcal(&board, &["rollback"]);
+    assert!(outcome.words.contains("was at gain 32; it is set to gain 128"), "{}", outcome.words);
+    assert!(is_valid());
+    true_calibration(&board, &path);
+    let outcome = ftcal(&board, &["upload", &file, "--gain", "32"]);
+    assert!(outcome.has_code(2) && outcome.words.contains("leave `--gain` away"), "{}", outcome.words);
+}
+
+#[test]
 fn a_calibration_that_does_not_fit_is_refused() {
     let board = ServedBoard::new(ScenarioKind::Fingertip);
     let folder = tempfile::tempdir().expect("a folder");
@@ -284,9 +337,7 @@ fn a_stored_calibration_is_kept_and_the_one_before_brought_back() {
 
     assert!(ftcal(&board, &["upload", &file, "--store"]).has_code(0));
     calibration.bias_counts[0] += 1.0;
-    let mut bytes = Vec::new();
-    calibration_file::write(&calibration, &mut bytes).expect("memory takes everything");
-    fs::write(&path, bytes).expect("a folder of our own");
+    write_calibration(&calibration, &path);
     let outcome = ftcal(&board, &["upload", &file, "--store"]);
     let restorable = format!("brings {} back", first.as_str().expect("calibrated"));
     assert!(outcome.words.contains(&restorable), "{}", outcome.words);

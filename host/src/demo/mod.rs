@@ -175,7 +175,7 @@ pub fn run(options: &Options, out: &mut dyn Write, progress: &mut dyn Write) -> 
     if options.keep_recordings {
         kept::keep(&acquired, scenario.sensor.dof(), &options.folder)?;
     }
-    let upload = calibration.upload(GAIN)?;
+    let upload = calibration.upload()?;
     stage.client.upload_calibration(&upload)?;
     writeln!(progress, "Uploaded as {:08x} and read back.", upload.identity)?;
 
