@@ -12,7 +12,7 @@ use ftcal_shared::estimation::application::{RealTimeCalibration, UnusableCalibra
 use ftcal_shared::estimation::bins::Bins;
 use ftcal_shared::estimation::parity::ParitySpace;
 use ftcal_shared::fault::AdcFault;
-use ftcal_shared::units::{AdcCode, Decimation, DeviceTime, Gain, SampleIndex};
+use ftcal_shared::units::{AdcCode, Decimation, DeviceTime, SampleIndex};
 use ftcal_shared::wire::health::StatusBit;
 use ftcal_shared::wire::{
     AdcState, CalibrationOrigin, CalibrationUpload, ClockSource, CodesFrame, GageList, HealthRequest,
@@ -82,8 +82,6 @@ pub struct Sensor<Store, const GAGES: usize, const HIGHER: usize> {
 /// A calibration as it came, and in the form that the sample path applies.
 struct LoadedCalibration<const GAGES: usize> {
     upload: CalibrationUpload,
-    /// The gain that it was made at: its counts are counts at this gain.
-    gain: Gain,
     origin: CalibrationOrigin,
     /// Of all gages, or of all but one.
     real_time: RealTimeCalibration<GAGES>,
@@ -91,16 +89,16 @@ struct LoadedCalibration<const GAGES: usize> {
 
 impl<const GAGES: usize> LoadedCalibration<GAGES> {
     fn new(stored: StoredCalibration) -> Result<Self, Rejection> {
-        let StoredCalibration { upload, gain, origin } = stored;
+        let StoredCalibration { upload, origin } = stored;
         if upload.identity != upload.identity_of_numbers() {
             return Err(Rejection::WrongIdentity);
         }
         let real_time = prepared(&upload)?;
-        Ok(Self { upload, gain, origin, real_time })
+        Ok(Self { upload, origin, real_time })
     }
 
     fn to_be_stored(&self) -> StoredCalibration {
-        StoredCalibration { upload: self.upload.clone(), gain: self.gain, origin: self.origin }
+        StoredCalibration { upload: self.upload.clone(), origin: self.origin }
     }
 }
 
@@ -363,7 +361,7 @@ where
         let gain = self.converter.settings().gain;
         let (usable, axes, identity) = match &self.calibration {
             None => (Err(InvalidCause::Uncalibrated), 0, 0),
-            Some(loaded) if loaded.gain != gain => (Err(InvalidCause::GainChanged), 0, 0),
+            Some(loaded) if loaded.upload.gain != gain => (Err(InvalidCause::GainChanged), 0, 0),
             Some(loaded) => (Ok(&loaded.real_time), loaded.upload.dof.count(), loaded.upload.identity),
         };
         match self.health.measure(usable, saturated_channels(&sample.codes), sample) {
@@ -378,16 +376,15 @@ where
         }
     }
 
-    /// Takes a calibration into use. The one before stays in use where the new one is refused.
+    /// Takes a calibration into use, of whatever gain: while the converter has another one, there is no wrench. The calibration before
+    /// stays in use where the new one is refused.
     #[inline(never)]
     fn load(&mut self, upload: CalibrationUpload) -> Result<(), Rejection> {
-        let gain = self.converter.settings().gain;
-        let same = |loaded: &LoadedCalibration<GAGES>| loaded.upload == upload && loaded.gain == gain;
-        if self.calibration.as_ref().is_some_and(same) {
+        if self.calibration.as_ref().is_some_and(|loaded| loaded.upload == upload) {
             // Once more, because the answer was lost: tare and noise are of this very calibration.
             return Ok(());
         }
-        let uploaded = StoredCalibration { upload, gain, origin: CalibrationOrigin::Uploaded };
+        let uploaded = StoredCalibration { upload, origin: CalibrationOrigin::Uploaded };
         LoadedCalibration::new(uploaded).map(|loaded| self.use_calibration(loaded))
     }
 

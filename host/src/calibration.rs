@@ -81,7 +81,7 @@ pub(crate) mod synthetic;
 
 use ftcal_shared::estimation::metric::LARGEST_RELATIVE_UNCERTAINTY;
 use ftcal_shared::refusal::Refusal;
-use ftcal_shared::units::Dof;
+use ftcal_shared::units::{Dof, Gain};
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
@@ -123,6 +123,8 @@ pub struct Calibration {
     pub dof: Dof,
     /// How it was found.
     pub method: Method,
+    /// The converter's gain that its counts are counts at; `None` where nobody says.
+    pub gain: Option<Gain>,
     /// Local gravity, m/s².
     pub gravity: f64,
     /// C (m × p): newton and newton metre per count.
@@ -271,6 +273,7 @@ fn of_joint_solution(
     let calibration = Calibration {
         dof,
         method: Method::Sfm,
+        gain: None,
         gravity: gravity.magnitude,
         matrix,
         bias_counts,

@@ -16,7 +16,7 @@ use std::io::{self, Write};
 use std::path::Path;
 
 use crc::{CRC_32_ISO_HDLC, Crc};
-use ftcal_shared::units::{Dof, MAX_GAGES};
+use ftcal_shared::units::{Dof, Gain, MAX_GAGES};
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
@@ -25,6 +25,7 @@ use crate::calibration::joint::uncertainty::Uncertainty;
 use crate::calibration::linearity::CheckRecord;
 use crate::calibration::wrench_uncertainty::WrenchUncertainty;
 use crate::calibration::{BiasOrigin, Calibration, Handedness, Method, TrialRecord};
+use crate::gain;
 use crate::recording::{MIN_GAGES, shown};
 
 /// Name and version of the format.
@@ -104,6 +105,8 @@ struct File {
     dof: Dof,
     method: Method,
     gages: usize,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    gain: Option<i64>,
     gravity: f64,
     matrix: Vec<Vec<f64>>,
     bias_counts: Vec<f64>,
@@ -162,6 +165,7 @@ pub fn write(calibration: &Calibration, mut out: impl Write) -> io::Result<()> {
         dof: calibration.dof,
         method: calibration.method,
         gages: calibration.gages(),
+        gain: calibration.gain.map(|gain| gain.factor().into()),
         gravity: calibration.gravity,
         matrix: rows(&calibration.matrix),
         bias_counts: calibration.bias_counts.iter().copied().collect(),
@@ -253,6 +257,7 @@ impl File {
             let expected = "a positive number".to_owned();
             return Err(Inconsistency { field: "gravity", expected, found: self.gravity.to_string() });
         }
+        let gain = self.gain.map(checked_gain).transpose()?;
         let bias_counts = checked_vector("bias_counts", &self.bias_counts, gages)?;
         let matrix = checked_matrix("matrix", &self.matrix, components, gages)?;
         let shape = checked_matrix("shape", &self.shape, components, gages)?;
@@ -271,6 +276,7 @@ impl File {
         Ok(Calibration {
             dof: self.dof,
             method: self.method,
+            gain,
             gravity: self.gravity,
             matrix,
             bias_counts,
@@ -337,6 +343,14 @@ fn deviations<'a>(
             Err(Inconsistency { field, expected, found: found.to_string() })
         }
     }
+}
+
+fn checked_gain(factor: i64) -> Result<Gain, Inconsistency> {
+    gain::of_factor(factor).ok_or_else(|| Inconsistency {
+        field: "gain",
+        expected: gain::possible(),
+        found: factor.to_string(),
+    })
 }
 
 fn checked_vector(field: &'static str, values: &[f64], count: usize) -> Result<DVector<f64>, Inconsistency> {

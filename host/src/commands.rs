@@ -32,6 +32,8 @@ pub mod verify;
 
 #[cfg(all(unix, test))]
 mod device_tests;
+#[cfg(test)]
+mod gain_tests;
 #[cfg(all(unix, test))]
 mod health_tests;
 #[cfg(test)]

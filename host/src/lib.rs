@@ -7,6 +7,7 @@ pub mod commands;
 pub mod component;
 pub mod demo;
 pub mod flash;
+pub mod gain;
 pub mod gravity;
 pub mod link;
 pub mod logs;

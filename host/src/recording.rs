@@ -4,12 +4,14 @@
 //!
 //! ```text
 //! # any number of comment lines, anywhere
+//! # converter gain: 128
 //! t_s,ch0,ch1,…,ch{p-1}
 //! 0.000,-1203,88121,…
 //! ```
 //!
-//! Two to twelve gages; the codes are integers or decimals, in counts. The [`parse`] module reads it, the [`writer`]
-//! module writes it.
+//! Two to twelve gages; the codes are integers or decimals, in counts. The gain that they are counts at stands in a line that
+//! other programs take for a comment; a recording without it is of an unknown gain. The [`parse`] module reads the file, the
+//! [`writer`] module writes it.
 //!
 //! # Codes
 //!
@@ -23,7 +25,7 @@ pub mod writer;
 
 use std::path::Path;
 
-use ftcal_shared::units::AdcCode;
+use ftcal_shared::units::{AdcCode, Gain};
 use nalgebra::DVector;
 
 use self::quantisation::Quantisation;
@@ -37,6 +39,7 @@ pub const MIN_GAGES: usize = 2;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Recording {
     gages: usize,
+    gain: Option<Gain>,
     times_s: Vec<f64>,
     /// One row of `gages` codes a sample.
     codes: Vec<AdcCode>,
@@ -76,14 +79,16 @@ impl Recording {
         parse::read(path)
     }
 
-    /// A recording of codes as the converter delivered them: one time and one row of `gages` codes a sample.
+    /// A recording of codes as the converter delivered them, at a gain that is not known: one time and one row of `gages` codes a
+    /// sample.
     ///
     /// Trailing codes that fill no row, and times without a row, are left out.
     pub fn from_codes(gages: usize, times_s: Vec<f64>, codes: Vec<AdcCode>) -> Self {
         Self::assemble(gages, times_s, codes, Quantisation::exact(gages))
     }
 
-    /// A recording of counts that may be decimals or wider than 24 bits: one time and one row of `gages` values each.
+    /// A recording of counts that may be decimals or wider than 24 bits, at a gain that is not known: one time and one row of
+    /// `gages` values each.
     pub fn from_counts(gages: usize, times_s: Vec<f64>, counts: &[f64]) -> Self {
         let quantisation = Quantisation::of(gages, counts);
         let codes = quantisation.quantise(counts);
@@ -99,7 +104,18 @@ impl Recording {
         let samples = times_s.len().min(codes.len().checked_div(gages).unwrap_or(0));
         times_s.truncate(samples);
         codes.truncate(samples * gages);
-        Self { gages, times_s, codes, quantisation }
+        Self { gages, gain: None, times_s, codes, quantisation }
+    }
+
+    /// The same codes, known to be of this gain.
+    #[must_use]
+    pub fn at_gain(self, gain: Option<Gain>) -> Self {
+        Self { gain, ..self }
+    }
+
+    /// The gain of the converter that the codes are counts at; `None` where nobody says.
+    pub const fn gain(&self) -> Option<Gain> {
+        self.gain
     }
 
     /// The number of gages, p.
@@ -167,7 +183,13 @@ impl Recording {
             });
         }
         let codes = self.codes.get(start * self.gages..end * self.gages).unwrap_or_default().to_vec();
-        Ok(Self { gages: self.gages, times_s, codes, quantisation: self.quantisation.clone() })
+        Ok(Self {
+            gages: self.gages,
+            gain: self.gain,
+            times_s,
+            codes,
+            quantisation: self.quantisation.clone(),
+        })
     }
 }
 
@@ -183,14 +205,14 @@ pub(crate) fn shown(path: &Path) -> String {
 
 #[cfg(test)]
 mod tests {
-    use ftcal_shared::units::AdcCode;
+    use ftcal_shared::units::{AdcCode, Gain};
 
     use super::{Recording, WindowError};
 
     fn ramp(samples: usize) -> Recording {
         let times = (0..samples).map(|i| i as f64 * 0.1).collect();
         let codes = (0..).take(samples).flat_map(|i: i64| [i, -i].map(AdcCode::saturating)).collect();
-        Recording::from_codes(2, times, codes)
+        Recording::from_codes(2, times, codes).at_gain(Some(Gain::X32))
     }
 
     #[test]
@@ -198,6 +220,7 @@ mod tests {
         let recording = ramp(100);
         for (from, to) in [(0.0, 9.9), (1.05, 1.05 + 3.0), (5.0, 5.0), (-3.0, 0.0), (9.9, 1e9)] {
             let window = recording.window(from, to).expect("the window holds samples");
+            assert_eq!(window.gain(), recording.gain());
             let inside = recording.samples().filter(|(time, _)| (from..=to).contains(time));
             assert!(window.samples().eq(inside));
         }

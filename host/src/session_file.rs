@@ -2,6 +2,7 @@
 //!
 //! ```toml
 //! dof = "spatial-force-torque"    # or planar-force, spatial-force, planar-force-torque
+//! gain = 128                      # the converter's, where the recordings do not say it themselves
 //! gravity = 9.812                 # local, m/s²; 9.80665 where nothing is said, which is a guess within 0.015
 //! gravity_accuracy = 0.001        # one standard deviation; half a unit of the last decimal where nothing is said
 //!
@@ -27,7 +28,7 @@ mod raw;
 
 use std::path::{Path, PathBuf};
 
-use ftcal_shared::units::Dof;
+use ftcal_shared::units::{Dof, Gain};
 use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 
@@ -44,6 +45,8 @@ pub struct Session {
     pub file: PathBuf,
     /// What the sensor measures.
     pub dof: Dof,
+    /// The converter's gain in every recording, where the session says it.
+    pub gain: Option<Gain>,
     /// Local gravity, where the session says anything of it.
     pub gravity: Option<Gravity>,
     /// The trials, at least one.
@@ -209,7 +212,7 @@ fn place(text: &str, offset: usize) -> Place {
 mod tests {
     use std::path::{Path, PathBuf};
 
-    use ftcal_shared::units::Dof;
+    use ftcal_shared::units::{Dof, Gain};
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
@@ -229,6 +232,7 @@ accuracy_deg = 0.1
 
     const FINGERTIP: &str = r#"dof = "planar-force"
 gravity = 9.81
+gain = 64
 [[trial]]
 recording = "/data/turn.csv"
 mass_kg = 0.1114
@@ -255,7 +259,7 @@ accuracy_deg = 0.2
     fn a_session_is_read_as_the_contract_says() {
         let session = parse(WRIST).expect("a session");
         assert_eq!(session.dof, Dof::SpatialForceTorque);
-        assert_eq!(session.gravity, None);
+        assert_eq!((session.gain, session.gravity), (None, None));
         let [trial] = session.trials.as_slice() else { panic!("one trial") };
         assert_eq!(trial.recording, PathBuf::from("folder/arm1.csv"));
         assert_eq!(trial.arm_m.as_slice(), [0.05, 0.0, 0.1]);
@@ -268,6 +272,7 @@ accuracy_deg = 0.2
     fn a_planar_direction_may_be_spelled_in_space() {
         let session = parse(FINGERTIP).expect("a session");
         let [trial] = session.trials.as_slice() else { panic!("one trial") };
+        assert_eq!(session.gain, Some(Gain::X64));
         assert_eq!(trial.recording, PathBuf::from("/data/turn.csv"));
         assert_eq!(trial.turning, Some(Turning::Clockwise));
         assert!(trial.arm_m.is_empty());
@@ -278,7 +283,7 @@ accuracy_deg = 0.2
 
     #[test]
     fn every_error_says_where() {
-        let cases: [(&str, &str, &str, (usize, usize)); 28] = [
+        let cases: [(&str, &str, &str, (usize, usize)); 29] = [
             (WRIST, "\"spatial-force-torque\"", "\"six-axis\"", (1, 7)),
             (WRIST, "\"spatial-force-torque\"", "3", (1, 7)),
             (WRIST, "mass_kg = 2", "mass_kg = 0", (4, 11)),
@@ -300,13 +305,14 @@ accuracy_deg = 0.2
             (WRIST, "accuracy_deg = 0.1", "accuracy_deg = 90", (9, 16)),
             (WRIST, "accuracy_deg = 0.1", "accuracy_deg = -0.1", (9, 16)),
             (WRIST, "recording = \"arm1.csv\"", "recording = \"\"", (3, 13)),
+            (FINGERTIP, "gain = 64", "gain = 65", (3, 8)),
             (FINGERTIP, "9.81", "981", (2, 11)),
             (FINGERTIP, "9.81", "9.81\ngravity_accuracy = -0.1", (3, 20)),
             (FINGERTIP, "9.81", "9.81\ngravity_accuracy = 9.81", (3, 20)),
             (FINGERTIP, "9.81", "9.81\ngravity_accuracy = nan", (3, 20)),
-            (FINGERTIP, "[0.0, -1.0, 0]", "[0.0, -1.0, 0.1]", (9, 13)),
-            (FINGERTIP, "mass_kg = 0.1114", "mass_kg = 0.1114\narm_m = [0.0, 0.1]", (6, 9)),
-            (FINGERTIP, "\"clockwise\"", "\"left\"", (6, 11)),
+            (FINGERTIP, "[0.0, -1.0, 0]", "[0.0, -1.0, 0.1]", (10, 13)),
+            (FINGERTIP, "mass_kg = 0.1114", "mass_kg = 0.1114\narm_m = [0.0, 0.1]", (7, 9)),
+            (FINGERTIP, "\"clockwise\"", "\"left\"", (7, 11)),
         ];
         for (text, good, bad, (line, column)) in cases {
             assert!(text.contains(good));

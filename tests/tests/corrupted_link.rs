@@ -16,7 +16,7 @@ use ftcal_firmware::storage::job::{StoreJob, Stored};
 use ftcal_firmware::stream::{Batcher, Measurement, Moment, WrenchMoment};
 use ftcal_shared::estimation::bins::Bins;
 use ftcal_shared::estimation::moments::higher_moment_count;
-use ftcal_shared::units::{DeviceTime, Dof, MAX_DOF, SampleIndex};
+use ftcal_shared::units::{DeviceTime, Dof, Gain, MAX_DOF, SampleIndex};
 use ftcal_shared::wire::frame::encode;
 use ftcal_shared::wire::{
     CalibrationUpload, ClockSource, Rejection, Request, Response, StreamKind, ToHost, TrialPhase,
@@ -226,6 +226,7 @@ fn outcome<T>(
 fn random_calibration(rng: &mut ChaCha8Rng) -> CalibrationUpload {
     let mut upload = CalibrationUpload {
         dof: Dof::SpatialForceTorque,
+        gain: Gain::ALL[rng.random_range(0..Gain::ALL.len())],
         bias_counts: (0..GAGES).map(|_| rng.random_range(-1e5..1e5)).collect(),
         matrix: (0..6 * GAGES).map(|_| rng.random_range(-1.0_f32..1.0)).collect(),
         identity: 0,

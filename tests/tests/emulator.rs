@@ -101,6 +101,7 @@ fn true_calibration(sensor: &SoftwareSensor) -> CalibrationUpload {
     #[expect(clippy::cast_possible_truncation, reason = "the sensor applies single precision")]
     let mut upload = CalibrationUpload {
         dof: sensor.dof(),
+        gain: Gain::X128,
         bias_counts: GageList::from_slice(sensor.bias_counts().as_slice()).unwrap(),
         matrix: elements.iter().map(|&element| element as f32).collect(),
         identity: 0,

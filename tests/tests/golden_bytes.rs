@@ -51,8 +51,8 @@ fn the_greeting_is_frozen() {
 }
 
 #[test]
-fn this_set_belongs_to_version_one() {
-    assert_eq!(PROTOCOL_VERSION, 2);
+fn this_set_belongs_to_version_three() {
+    assert_eq!(PROTOCOL_VERSION, 3);
 }
 
 #[test]
@@ -87,6 +87,7 @@ fn requests() {
 fn calibration() -> CalibrationUpload {
     CalibrationUpload {
         dof: Dof::SpatialForce,
+        gain: Gain::X64,
         bias_counts: GageList::from_slice(&[1.5, -2.0]).unwrap(),
         matrix: [0.5].into_iter().collect(),
         identity: 0xDEAD_BEEF,
@@ -94,8 +95,9 @@ fn calibration() -> CalibrationUpload {
 }
 
 #[rustfmt::skip]
-const CALIBRATION_BYTES: [u8; 28] = [
+const CALIBRATION_BYTES: [u8; 29] = [
     1,
+    6,
     2, 0, 0, 0, 0, 0, 0, 0xF8, 0x3F, 0, 0, 0, 0, 0, 0, 0, 0xC0,
     1, 0, 0, 0, 0x3F,
     0xEF, 0xFD, 0xB6, 0xF5, 0x0D,

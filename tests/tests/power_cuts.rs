@@ -79,7 +79,13 @@ fn image() -> PathBuf {
 fn calibration(number: u32) -> CalibrationUpload {
     let bias_counts = GageList::from_slice(&[f64::from(number); 8]).unwrap();
     let matrix = (0..48_u8).map(|element| f32::from(element) / 16.0).collect();
-    let mut upload = CalibrationUpload { dof: Dof::SpatialForceTorque, bias_counts, matrix, identity: 0 };
+    let mut upload = CalibrationUpload {
+        dof: Dof::SpatialForceTorque,
+        gain: Gain::default(),
+        bias_counts,
+        matrix,
+        identity: 0,
+    };
     upload.identity = upload.identity_of_numbers();
     upload
 }
@@ -132,11 +138,8 @@ fn heads(content: &[u8]) -> [&[u8]; 2] {
 /// to read, which thousands of others would.
 fn about_to_erase(folder: &Path) -> Vec<u8> {
     let (full, probe) = (folder.join("full"), folder.join("probe"));
-    let stored = |number| StoredCalibration {
-        upload: calibration(number),
-        gain: Gain::default(),
-        origin: CalibrationOrigin::Uploaded,
-    };
+    let stored =
+        |number| StoredCalibration { upload: calibration(number), origin: CalibrationOrigin::Uploaded };
     let memory = |path: &Path| Memory::new(SimulatedFlash::in_file(path).unwrap());
     for number in [2, 1] {
         memory(&full).store_calibration(&stored(number)).unwrap();
@@ -320,11 +323,7 @@ fn try_through_cuts(seed: u64, lives: u32, is_stopped: bool) {
     let mut rng = random(seed);
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("flash");
-    let stored = StoredCalibration {
-        upload: calibration(1),
-        gain: Gain::default(),
-        origin: CalibrationOrigin::Uploaded,
-    };
+    let stored = StoredCalibration { upload: calibration(1), origin: CalibrationOrigin::Uploaded };
     Memory::new(SimulatedFlash::in_file(&file).unwrap()).store_calibration(&stored).unwrap();
     let (mut resumed, mut latest) = (0, Duration::ZERO);
     for cut in 0..lives {

@@ -49,7 +49,8 @@ fn true_calibration(sensor: &SoftwareSensor) -> CalibrationUpload {
     #[expect(clippy::cast_possible_truncation, reason = "the sensor applies single precision")]
     let matrix = true_matrix(sensor).transpose().iter().map(|&element| element as f32).collect();
     let bias_counts = GageList::from_slice(sensor.bias_counts().as_slice()).unwrap();
-    let mut upload = CalibrationUpload { dof: sensor.dof(), bias_counts, matrix, identity: 0 };
+    let mut upload =
+        CalibrationUpload { dof: sensor.dof(), gain: Gain::X128, bias_counts, matrix, identity: 0 };
     upload.identity = upload.identity_of_numbers();
     upload
 }

@@ -126,7 +126,7 @@ pub fn judge<const GAGES: usize>(
     RealTimeCalibration::<GAGES>::new(upload.dof, &upload.matrix, &upload.bias_counts)
         .map_err(|_| FieldRefusal::UnusableNumbers)?;
     let origin = CalibrationOrigin::Field(renewed, found);
-    Ok(Judgement::Renewed(StoredCalibration { upload, gain: reference.gain, origin }))
+    Ok(Judgement::Renewed(StoredCalibration { upload, origin }))
 }
 
 /// How far the codes with no load have moved.

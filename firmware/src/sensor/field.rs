@@ -9,7 +9,7 @@ use ftcal_shared::wire::{
     Response, StreamKind, TrialPhase,
 };
 
-use super::{LoadedCalibration, Sensor};
+use super::Sensor;
 use crate::field::button::Press;
 use crate::field::judgement::Judgement;
 use crate::field::{FieldDone, FieldTask, SUFFICIENT_MICROS, Step, WHOLE};
@@ -114,14 +114,14 @@ where
     /// The calibration that a trial could be oriented to now, by its identity, and what it measures.
     fn field_reference(&self) -> Result<(u32, Dof), FieldRefusal> {
         let loaded = self.calibration.as_ref().ok_or(FieldRefusal::Uncalibrated)?;
-        let LoadedCalibration { upload, gain, .. } = loaded;
+        let upload = &loaded.upload;
         if upload.dof.has_torque() {
             return Err(FieldRefusal::MeasuresTorque);
         }
         if self.kept.current != KeptCalibration::Calibration(upload.identity) {
             return Err(FieldRefusal::CalibrationNotKept);
         }
-        if *gain != self.converter.settings().gain {
+        if upload.gain != self.converter.settings().gain {
             return Err(FieldRefusal::GainChanged);
         }
         if self.converter.state() != AdcState::Running {
@@ -162,7 +162,7 @@ where
         let refusal = match loaded {
             _ if !self.trial.standing().by_button => FieldRefusal::TakenOver,
             None => FieldRefusal::CalibrationChanged,
-            Some(loaded) if loaded.gain != settings.gain => FieldRefusal::GainChanged,
+            Some(loaded) if loaded.upload.gain != settings.gain => FieldRefusal::GainChanged,
             Some(loaded) => {
                 let reference = loaded.to_be_stored();
                 // Where a host has the sums to look at them, they come back.

@@ -104,7 +104,7 @@ where
     /// Brings into the status word what lasts.
     pub(super) fn note_conditions(&mut self) {
         let gain = self.converter.settings().gain;
-        let other_gain = self.calibration.as_ref().is_some_and(|calibration| calibration.gain != gain);
+        let other_gain = self.calibration.as_ref().is_some_and(|loaded| loaded.upload.gain != gain);
         let calibration_failed = match self.kept.current {
             KeptCalibration::Unread | KeptCalibration::Nothing | KeptCalibration::Calibration(_) => false,
             KeptCalibration::Unreadable

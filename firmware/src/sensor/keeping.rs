@@ -32,9 +32,9 @@ where
             return;
         };
         settings = settings.or(kept.settings);
-        if let Some(StoredCalibration { gain, .. }) = kept.calibration {
+        if let Some(StoredCalibration { upload, .. }) = &kept.calibration {
             let data_rate = self.converter.settings().data_rate;
-            settings = settings.or(Some(Settings { data_rate, gain }));
+            settings = settings.or(Some(Settings { data_rate, gain: upload.gain }));
         }
         self.configure(settings);
         let (health, is_incomplete) = (kept.health, kept.is_incomplete);

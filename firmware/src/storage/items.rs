@@ -23,17 +23,15 @@ pub struct ItemKey(pub(super) Key);
 /// A calibration with what it needs to be right.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StoredCalibration {
-    /// The calibration as it was uploaded.
+    /// The calibration as it was uploaded, or as the sensor has renewed it.
     pub upload: CalibrationUpload,
-    /// The gain that it was uploaded at: its counts are counts at this gain.
-    pub gain: Gain,
     /// Where it comes from.
     pub origin: CalibrationOrigin,
 }
 
 impl StoredCalibration {
     /// The number of its format.
-    pub(super) const FORMAT: u8 = 2;
+    pub(super) const FORMAT: u8 = 3;
 }
 
 /// How the converter is to be set after a reset.

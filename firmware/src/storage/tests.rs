@@ -19,9 +19,10 @@ type TestMemory = Memory<MockFlash>;
 fn calibration(number: u32) -> StoredCalibration {
     let bias_counts = GageList::from_slice(&[f64::from(number); 8]).unwrap();
     let matrix = (0..48_u8).map(|element| f32::from(element) / 16.0).collect();
-    let mut upload = CalibrationUpload { dof: Dof::SpatialForceTorque, bias_counts, matrix, identity: 0 };
+    let mut upload =
+        CalibrationUpload { dof: Dof::SpatialForceTorque, gain: Gain::X64, bias_counts, matrix, identity: 0 };
     upload.identity = upload.identity_of_numbers();
-    StoredCalibration { upload, gain: Gain::X64, origin: CalibrationOrigin::Uploaded }
+    StoredCalibration { upload, origin: CalibrationOrigin::Uploaded }
 }
 
 fn identity(number: u32) -> u32 {
@@ -158,9 +159,13 @@ fn storing_what_is_stored_writes_nothing() {
     memory.roll_back(identity(2)).unwrap();
     assert_eq!(memory.flash().written, written);
     // The same numbers at another gain are another calibration.
-    let other = StoredCalibration { gain: Gain::X1, ..calibration(2) };
+    let mut other = calibration(2);
+    other.upload.gain = Gain::X1;
+    other.upload.identity = other.upload.identity_of_numbers();
     memory.store_calibration(&other).unwrap();
     assert_eq!(read(&mut memory).calibration, Some(other));
+    memory.roll_back(identity(2)).unwrap();
+    assert_eq!(read(&mut memory).calibration, Some(calibration(2)));
 }
 
 #[test]

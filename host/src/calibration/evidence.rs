@@ -1,7 +1,9 @@
 //! From a session file to solved trials: opens the recordings it names, cuts out the rests, solves each trial.
 
+use std::fmt::{self, Display, Formatter};
 use std::path::Path;
 
+use ftcal_shared::units::Gain;
 use nalgebra::DVector;
 
 use super::known_load::{KnownLoad, LoadCase, average};
@@ -65,6 +67,61 @@ pub enum EvidenceError {
         /// Gages of this one.
         found: usize,
     },
+    /// A recording is of another gain than the rest of the evidence: its counts are of another size.
+    #[error(
+        "{session}: {place}: expected a recording at gain {} {source_of_gain}, found one at gain {}; record it again with \
+         `ftcal record --gain {0}`",
+        .expected.factor(),
+        .found.factor()
+    )]
+    Gain {
+        /// The session file.
+        session: String,
+        /// Where it names the recording.
+        place: Place,
+        /// The gain of the rest.
+        expected: Gain,
+        /// Who says so.
+        source_of_gain: GainSource,
+        /// The gain of this one.
+        found: Gain,
+    },
+    /// The session states another gain than the stored calibration.
+    #[error(
+        "{session}: field `gain`: expected {} as the stored calibration was made at, found {}; record the session again with \
+         `ftcal record --gain {0}`, or calibrate anew with known loads",
+        .expected.factor(),
+        .found.factor()
+    )]
+    ReferenceGain {
+        /// The session file.
+        session: String,
+        /// The gain of the stored calibration.
+        expected: Gain,
+        /// The gain that the session states.
+        found: Gain,
+    },
+}
+
+/// Who says at which gain the recordings of a session have to be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum GainSource {
+    /// The session.
+    Session,
+    /// Another recording of the session.
+    Recording,
+    /// The calibration that the session is compared with.
+    StoredCalibration,
+}
+
+impl Display for GainSource {
+    fn fmt(&self, out: &mut Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::Session => "as the session says",
+            Self::Recording => "as an earlier one",
+            Self::StoredCalibration => "as the stored calibration was made at",
+        })
+    }
 }
 
 impl From<EvidenceError> for CalibrationFailure {
@@ -89,7 +146,7 @@ pub fn calibrate(
     method: Method,
     approach: Approach,
 ) -> Result<Calibration, CalibrationFailure> {
-    let mut reader = Reader { session, approach, gages: None };
+    let mut reader = Reader::new(session, approach);
     let (dof, local) = (session.dof, session.gravity.unwrap_or(Gravity::ASSUMED));
     let gravity = local.magnitude;
     let calibration = match method {
@@ -124,7 +181,7 @@ pub fn recalibrate(
     stored: &Calibration,
     approach: Approach,
 ) -> Result<Calibration, CalibrationFailure> {
-    let mut reader = Reader { session, approach, gages: None };
+    let mut reader = Reader::new(session, approach).of_gain_of(stored)?;
     let gravity = session.gravity.unwrap_or_else(|| gravity_of(stored));
     let calibration = reference::recalibrate(stored, gravity, &reader.fitted()?);
     reader.checked(calibration)
@@ -147,14 +204,41 @@ pub struct Approach {
     pub refining: Refining,
 }
 
-/// Opens recordings and sees to it that all have the same number of gages.
+/// Opens recordings and sees to it that all have the same number of gages, and are of the same gain as far as they say it.
 struct Reader<'a> {
     session: &'a Session,
     approach: Approach,
     gages: Option<usize>,
+    gain: Option<(Gain, GainSource)>,
+    /// A recording was opened that does not say its gain.
+    has_unknown_gain: bool,
 }
 
-impl Reader<'_> {
+impl<'a> Reader<'a> {
+    fn new(session: &'a Session, approach: Approach) -> Self {
+        let gain = session.gain.map(|gain| (gain, GainSource::Session));
+        Self { session, approach, gages: None, gain, has_unknown_gain: false }
+    }
+
+    /// Has every recording to be of the gain of this calibration, if that is known.
+    fn of_gain_of(self, stored: &Calibration) -> Result<Self, EvidenceError> {
+        let Some(expected) = stored.gain else { return Ok(self) };
+        match self.session.gain {
+            Some(found) if found != expected => {
+                Err(EvidenceError::ReferenceGain { session: shown(&self.session.file), expected, found })
+            }
+            _ => Ok(Self { gain: Some((expected, GainSource::StoredCalibration)), ..self }),
+        }
+    }
+
+    /// The gain of all that was opened, where the session or a stored calibration says it, or every single recording.
+    fn gain(&self) -> Option<Gain> {
+        match self.gain {
+            Some((_, GainSource::Recording)) if self.has_unknown_gain => None,
+            known => known.map(|(gain, _)| gain),
+        }
+    }
+
     /// The trials that the calibration is made from, solved.
     fn fitted(&mut self) -> Result<Vec<SolvedTrial>, CalibrationFailure> {
         let trials = self.solved_trials(Role::Fit)?;
@@ -181,6 +265,7 @@ impl Reader<'_> {
         let mut calibration = calibration.map_err(|refusal| self.refused(refusal))?;
         let checks = self.solved_trials(Role::Check)?;
         calibration.checks = checks.iter().map(|trial| linearity::check(&calibration, trial)).collect();
+        calibration.gain = self.gain();
         Ok(calibration)
     }
 
@@ -200,11 +285,18 @@ impl Reader<'_> {
             error: Box::new(error),
         })?;
         let (found, expected) = (recording.gages(), *self.gages.get_or_insert(recording.gages()));
-        if found == expected {
-            Ok(recording)
-        } else {
-            Err(EvidenceError::Gages { session: session(), place, expected, found })
+        if found != expected {
+            return Err(EvidenceError::Gages { session: session(), place, expected, found });
         }
+        let Some(found) = recording.gain() else {
+            self.has_unknown_gain = true;
+            return Ok(recording);
+        };
+        let (expected, source_of_gain) = *self.gain.get_or_insert((found, GainSource::Recording));
+        if found != expected {
+            return Err(EvidenceError::Gain { session: session(), place, expected, source_of_gain, found });
+        }
+        Ok(recording)
     }
 
     fn solved(&mut self, index: usize, trial: &SessionTrial) -> Result<SolvedTrial, CalibrationFailure> {

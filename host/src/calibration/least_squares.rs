@@ -84,6 +84,7 @@ pub fn calibrate(
     Calibration {
         dof,
         method: Method::LeastSquares,
+        gain: None,
         gravity,
         matrix,
         bias_counts,

@@ -110,7 +110,8 @@ pub fn recalibrate(
     };
     let after = scaled(&calibration.shape, &lengths);
     let drift = drift(stored, (&before, &after), &lengths, &deviation, components_seen);
-    Calibration { trials: records, drift: Some(drift), ..calibration }.finite()
+    // At another gain, the response would have been another.
+    Calibration { gain: stored.gain, trials: records, drift: Some(drift), ..calibration }.finite()
 }
 
 /// A trial turned onto what the stored calibration predicts of it.
@@ -268,6 +269,7 @@ fn least_change(
     Calibration {
         dof: stored.dof,
         method: Method::Sfm,
+        gain: None,
         gravity: gravity.magnitude,
         matrix,
         bias_counts: common_bias(trials)?,

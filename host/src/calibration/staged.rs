@@ -44,6 +44,7 @@ pub fn calibrate(dof: Dof, gravity: f64, trials: &[SolvedTrial]) -> Result<Calib
     Calibration {
         dof,
         method: Method::SfmPaper,
+        gain: None,
         gravity,
         matrix,
         bias_counts,

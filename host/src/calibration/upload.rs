@@ -8,6 +8,12 @@ use super::Calibration;
 /// Why a calibration does not fit the sensor's form.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum UploadError {
+    /// Nobody says at which gain the calibration was made.
+    #[error(
+        "field `gain`: expected the converter's gain that the calibration was made at, found nothing; if you know it, add \
+         `--gain N`, else calibrate again from recordings that say theirs, as those of `ftcal record` do"
+    )]
+    GainUnknown,
     /// An element of the matrix is beyond single precision.
     #[error("an element of the calibration matrix is too large for the sensor's single precision")]
     OutOfRange,
@@ -27,6 +33,7 @@ impl Calibration {
     ///
     /// [`UploadError`].
     pub fn upload(&self) -> Result<CalibrationUpload, UploadError> {
+        let gain = self.gain.ok_or(UploadError::GainUnknown)?;
         let too_many = UploadError::TooManyGages { gages: self.gages() };
         let mut matrix = heapless::Vec::new();
         for row in self.matrix.row_iter() {
@@ -43,7 +50,7 @@ impl Calibration {
             }
         }
         let bias_counts = GageList::from_slice(self.bias_counts.as_slice()).map_err(|_| too_many)?;
-        let mut upload = CalibrationUpload { dof: self.dof, bias_counts, matrix, identity: 0 };
+        let mut upload = CalibrationUpload { dof: self.dof, gain, bias_counts, matrix, identity: 0 };
         upload.identity = upload.identity_of_numbers();
         Ok(upload)
     }

@@ -1,4 +1,4 @@
-use ftcal_shared::units::Dof;
+use ftcal_shared::units::{Dof, Gain};
 use nalgebra::{DMatrix, DVector};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -21,6 +21,7 @@ fn calibration(dof: Dof, gages: usize, seed: u64) -> Calibration {
     Calibration {
         dof,
         method: Method::Sfm,
+        gain: Gain::from_factor(1 << (seed % 8)),
         gravity: 9.81,
         matrix: matrix_of_shape(&shape).expect("random rows are independent"),
         bias_counts: DVector::from_fn(gages, |_, _| 1e4 * number()),
@@ -179,6 +180,12 @@ fn other_formats_and_contradictions_are_named() {
     // What an earlier version of the tool wrote says nothing of single wrenches.
     let earlier = uncertain(&|stated: &mut Uncertainty| stated.wrench = None);
     assert_eq!(parse(written(&earlier).as_bytes(), "c").expect("complete"), earlier);
+
+    // Nor of the gain.
+    let earlier = Calibration { gain: None, ..good.clone() };
+    let text = written(&earlier);
+    assert!(!text.contains("\"gain\""), "{text}");
+    assert_eq!(parse(text.as_bytes(), "c").expect("complete"), earlier);
 
     let unknown = written(&good).replacen("\"dof\"", "\"extra\": 1, \"dof\"", 1);
     assert!(matches!(parse(unknown.as_bytes(), "c"), Err(CalibrationFileError::Malformed { .. })));

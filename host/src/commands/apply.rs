@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use ftcal_shared::refusal::Refusal;
-use ftcal_shared::units::{AdcCode, Axis};
+use ftcal_shared::units::{AdcCode, Axis, Gain};
 
 use super::output::Output;
 use super::{Failure, Streams};
@@ -52,7 +52,21 @@ pub struct GagesDiffer {
     found: usize,
 }
 
-/// Reads a calibration and a recording that belong together.
+/// A recording whose counts are of another size than those of the calibration.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "{recording}: expected a recording at gain {} as the calibration was made at, found one at gain {}; record it again with \
+     `ftcal record --gain {0}`, or calibrate at gain {1}",
+    .expected.factor(),
+    .found.factor()
+)]
+pub struct GainsDiffer {
+    recording: String,
+    expected: Gain,
+    found: Gain,
+}
+
+/// Reads a calibration and a recording that belong together: of as many gages, and at one gain as far as both say it.
 ///
 /// # Errors
 ///
@@ -64,10 +78,14 @@ pub fn read(
     let read_calibration = calibration_file::read(calibration).map_err(Failure::input)?;
     let read_recording = Recording::read(recording).map_err(Failure::input)?;
     let (expected, found) = (read_calibration.gages(), read_recording.gages());
-    if expected == found {
-        Ok((read_calibration, read_recording))
-    } else {
-        Err(Failure::input(GagesDiffer { recording: shown(recording), expected, found }))
+    if expected != found {
+        return Err(Failure::input(GagesDiffer { recording: shown(recording), expected, found }));
+    }
+    match (read_calibration.gain, read_recording.gain()) {
+        (Some(expected), Some(found)) if expected != found => {
+            Err(Failure::input(GainsDiffer { recording: shown(recording), expected, found }))
+        }
+        _ => Ok((read_calibration, read_recording)),
     }
 }
 

@@ -141,6 +141,13 @@ pub fn summarise(calibration: &Calibration, out: &mut dyn Write) -> io::Result<(
              opposite of one known load"
         )?,
     }
+    match calibration.gain {
+        Some(gain) => writeln!(out, "the counts are of gain {}", gain.factor())?,
+        None => writeln!(
+            out,
+            "the gain is unknown: no recording says it; state `gain` in the session, or `ftcal upload` will ask for it"
+        )?,
+    }
     writeln!(out, "handedness proven; fusion residual {:.3} %", 100.0 * calibration.fusion_residual)?;
     if let Some(uncertainty) = &calibration.uncertainty {
         let axes = calibration.dof.axes().iter().zip(&uncertainty.per_axis_full_load);

@@ -7,7 +7,7 @@ use std::thread;
 use std::time::Duration;
 
 use clap::Parser;
-use ftcal_shared::units::AdcCode;
+use ftcal_shared::units::{AdcCode, Gain};
 use nalgebra::{UnitVector3, Vector3};
 use serde_json::Value;
 
@@ -65,6 +65,7 @@ pub(super) fn true_calibration(board: &ServedBoard, path: &Path) -> Calibration 
     let calibration = Calibration {
         dof: sensor.dof(),
         method: Method::Sfm,
+        gain: Some(Gain::X128),
         gravity: 9.80665,
         matrix: matrix_of_shape(sensor.shape()).expect("of full rank"),
         bias_counts: sensor.bias_counts().clone(),
@@ -77,10 +78,14 @@ pub(super) fn true_calibration(board: &ServedBoard, path: &Path) -> Calibration 
         checks: Vec::new(),
         drift: None,
     };
-    let mut file = Vec::new();
-    calibration_file::write(&calibration, &mut file).expect("memory takes everything");
-    fs::write(path, file).expect("a directory of our own");
+    write_calibration(&calibration, path);
     calibration
+}
+
+fn write_calibration(calibration: &Calibration, path: &Path) {
+    let mut file = Vec::new();
+    calibration_file::write(calibration, &mut file).expect("memory takes everything");
+    fs::write(path, file).expect("a folder of our own");
 }
 
 #[test]
@@ -91,17 +96,21 @@ fn a_recording_holds_what_was_asked_for() {
         parse(outcome.data.as_bytes(), "stdout").expect("a recording")
     };
     let outcome = ftcal(&board, &["record", "--samples", "50", "--rate", "500", "--gain", "64"]);
-    assert!(outcome.data.starts_with("t_s,ch0,ch1,ch2,ch3,ch4,ch5\n"));
+    assert!(outcome.data.starts_with("# converter gain: 64\nt_s,ch0,ch1,ch2,ch3,ch4,ch5\n"));
     assert!(outcome.words.starts_with("50 samples in 0.098 s, no gap, none saturated"), "{}", outcome.words);
     let recording = whole(&outcome);
-    assert_eq!((recording.gages(), recording.len()), (6, 50));
+    assert_eq!((recording.gages(), recording.len(), recording.gain()), (6, 50, Some(Gain::X64)));
     for (sample, (time_s, _)) in recording.samples().enumerate() {
         assert!((time_s - sample as f64 / 500.0).abs() < 1e-9);
     }
 
     // Half an open interval: the sample at 0.1 s belongs to the next one.
     let recording = whole(&ftcal(&board, &["record", "--seconds", "0.1"]));
-    assert_eq!(recording.len(), 50, "rate and gain stay as they were set");
+    assert_eq!(
+        (recording.len(), recording.gain()),
+        (50, Some(Gain::X64)),
+        "rate and gain stay as they were set"
+    );
 
     board.bench.with(|bench| bench.inject(Fault::SaturatedChannel { channel: 1, rail: Rail::Low }));
     board.bench.with(|bench| bench.inject(Fault::DataReadyLost { probability: 0.3 }));
@@ -249,6 +258,55 @@ fn uploaded_and_streamed_wrenches_are_the_truth_or_empty() {
 }
 
 #[test]
+fn a_calibration_holds_at_its_own_gain_and_at_no_other() {
+    let board = ServedBoard::new(ScenarioKind::Planar);
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("calibration.json");
+    let calibration = true_calibration(&board, &path);
+    let file = path.display().to_string();
+    assert!(ftcal(&board, &["upload", &file]).words.contains("gain 128), verified"));
+    let is_valid = || !ftcal(&board, &["stream", "--samples", "3"]).words.contains("3 of them no wrench");
+    assert!(is_valid());
+    assert!(ftcal(&board, &["record", "--samples", "3", "--gain", "64"]).has_code(0));
+    assert!(!is_valid());
+    let info = ftcal(&board, &["info", "--json"]).json();
+    assert_eq!((&info["converter"]["gain"], &info["calibration_gain"]), (&64.into(), &128.into()));
+    let health = ftcal(&board, &["health"]);
+    assert!(health.data.contains("`ftcal settings --gain N`"), "{}", health.data);
+
+    // While a trial runs, the gain stays, and no wrench is valid; afterwards, the upload brings its gain along.
+    assert!(ftcal(&board, &["trial", "start", "--rank", "2"]).has_code(0));
+    let outcome = ftcal(&board, &["upload", &file]);
+    assert!(
+        outcome.has_code(0)
+            && outcome.words.contains("CAUTION: no wrench is valid")
+            && outcome.words.contains("a trial is running")
+            && outcome.words.contains("`ftcal settings --gain 128`"),
+        "{}",
+        outcome.words
+    );
+    assert!(!is_valid());
+    assert!(ftcal(&board, &["trial", "stop"]).has_code(0));
+    let outcome = ftcal(&board, &["upload", &file, "--store"]);
+    assert!(outcome.words.contains("was at gain 64; it is set to gain 128"), "{}", outcome.words);
+    assert!(outcome.words.contains("`ftcal settings --store`"), "{}", outcome.words);
+    assert!(is_valid());
+
+    // One that is of nobody knows which gain is not guessed at; one that is of another gain is another one.
+    write_calibration(&Calibration { gain: None, ..calibration }, &path);
+    let outcome = ftcal(&board, &["upload", &file]);
+    assert!(outcome.has_code(2) && outcome.words.contains("add `--gain N`"), "{}", outcome.words);
+    let outcome = ftcal(&board, &["upload", &file, "--gain", "32", "--store"]);
+    assert!(outcome.words.contains("set to gain 32"), "{}", outcome.words);
+    let outcome = ftcal(&board, &["rollback"]);
+    assert!(outcome.words.contains("was at gain 32; it is set to gain 128"), "{}", outcome.words);
+    assert!(is_valid());
+    true_calibration(&board, &path);
+    let outcome = ftcal(&board, &["upload", &file, "--gain", "32"]);
+    assert!(outcome.has_code(2) && outcome.words.contains("leave `--gain` away"), "{}", outcome.words);
+}
+
+#[test]
 fn a_calibration_that_does_not_fit_is_refused() {
     let board = ServedBoard::new(ScenarioKind::Fingertip);
     let folder = tempfile::tempdir().expect("a folder");
@@ -279,9 +337,7 @@ fn a_stored_calibration_is_kept_and_the_one_before_brought_back() {
 
     assert!(ftcal(&board, &["upload", &file, "--store"]).has_code(0));
     calibration.bias_counts[0] += 1.0;
-    let mut bytes = Vec::new();
-    calibration_file::write(&calibration, &mut bytes).expect("memory takes everything");
-    fs::write(&path, bytes).expect("a folder of our own");
+    write_calibration(&calibration, &path);
     let outcome = ftcal(&board, &["upload", &file, "--store"]);
     let restorable = format!("brings {} back", first.as_str().expect("calibrated"));
     assert!(outcome.words.contains(&restorable), "{}", outcome.words);

@@ -3,6 +3,7 @@
 use std::io::{self, Write};
 
 use clap::Args;
+use ftcal_shared::units::Gain;
 use ftcal_shared::wire::{
     AdcState, CalibrationOrigin, Diagnosis, FieldReport, HealthReport, Hello, Identity, KeptCalibration,
     Status,
@@ -34,11 +35,12 @@ pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> 
     let hello = client.hello()?;
     let status = client.status()?;
     let identity = client.identity()?;
+    let gain = client.read_calibration()?.map(|in_use| in_use.gain);
     let (health, diagnosis, field) = (client.health()?, client.diagnosis()?, client.field()?);
     if arguments.json {
-        print_json(&Info::new(&hello, &status, &identity, &health, &diagnosis, &field), streams.data)?;
+        print_json(&Info::new(&hello, &status, gain, &identity, &health, &diagnosis, &field), streams.data)?;
     } else {
-        write_words(streams.data, &hello, &status, &identity)?;
+        write_words(streams.data, &hello, &status, gain, &identity)?;
         write_field(streams.data, &field)?;
         write_diagnosis(streams.data, &diagnosis)?;
         writeln!(streams.data, "status       {:#010x}; `ftcal health` says more", health.live.bits())?;
@@ -47,12 +49,20 @@ pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> 
     Ok(())
 }
 
-fn write_words(out: &mut dyn Write, hello: &Hello, status: &Status, identity: &Identity) -> io::Result<()> {
+/// `gain` is that of the calibration in use.
+fn write_words(
+    out: &mut dyn Write,
+    hello: &Hello,
+    status: &Status,
+    gain: Option<Gain>,
+    identity: &Identity,
+) -> io::Result<()> {
+    let made_at = gain.map_or_else(String::new, |gain| format!(", made at gain {}", gain.factor()));
     let calibration = match status.calibration {
         Some(in_use) if status.kept.current == KeptCalibration::Calibration(in_use) => {
-            format!("{in_use:08x}, kept across resets")
+            format!("{in_use:08x}{made_at}, kept across resets")
         }
-        Some(in_use) => format!("{in_use:08x}, lost with the next reset"),
+        Some(in_use) => format!("{in_use:08x}{made_at}, lost with the next reset"),
         None => "none; upload one with `ftcal upload`".to_owned(),
     };
     let kept = words::kept_calibration(status.kept.current);
@@ -128,6 +138,8 @@ struct Info {
     converter: Converter,
     conversions: Conversions,
     calibration: Option<String>,
+    /// The gain that the calibration in use was made at.
+    calibration_gain: Option<u8>,
     memory: Memory,
     trial: Trial,
     link: Link,
@@ -206,6 +218,7 @@ impl Info {
     fn new(
         hello: &Hello,
         status: &Status,
+        gain: Option<Gain>,
         identity: &Identity,
         health: &HealthReport,
         diagnosis: &Diagnosis,
@@ -243,6 +256,7 @@ impl Info {
                 late: status.late_samples,
             },
             calibration: status.calibration.map(hexadecimal),
+            calibration_gain: gain.map(Gain::factor),
             memory: Memory {
                 calibration: kept,
                 problem,

@@ -16,14 +16,14 @@ use crate::cli::{self, Cli};
 use crate::recording::{Recording, writer};
 
 /// What a command left behind.
-struct Outcome {
+pub(super) struct Outcome {
     /// The exit code, as it is shown.
-    code: String,
-    data: String,
-    words: String,
+    pub(super) code: String,
+    pub(super) data: String,
+    pub(super) words: String,
 }
 
-fn ftcal(arguments: &[&str]) -> Outcome {
+pub(super) fn ftcal(arguments: &[&str]) -> Outcome {
     let cli = Cli::try_parse_from([&["ftcal"], arguments].concat()).expect("the usage is right");
     let (mut data, mut words) = (Vec::new(), Vec::new());
     let code = cli::run(&cli, &mut Streams { data: &mut data, words: &mut words });
@@ -31,15 +31,15 @@ fn ftcal(arguments: &[&str]) -> Outcome {
     Outcome { code: format!("{code:?}"), data: text(data), words: text(words) }
 }
 
-fn code(number: u8) -> String {
+pub(super) fn code(number: u8) -> String {
     format!("{:?}", std::process::ExitCode::from(number))
 }
 
 /// A folder with a session in it.
-struct Bench {
+pub(super) struct Bench {
     folder: TempDir,
     sensor: Sensor,
-    session: String,
+    pub(super) session: String,
 }
 
 impl Bench {
@@ -48,11 +48,11 @@ impl Bench {
         Self { folder, sensor, session: format!("dof = \"{dof}\"\n") }
     }
 
-    fn path(&self, name: &str) -> PathBuf {
+    pub(super) fn path(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
     }
 
-    fn save(&self, name: &str, recording: &Recording) {
+    pub(super) fn save(&self, name: &str, recording: &Recording) {
         let file = File::create(self.path(name)).expect("the folder is writable");
         writer::write(recording, file).expect("the folder is writable");
     }
@@ -81,14 +81,14 @@ impl Bench {
         }
     }
 
-    fn calibrate(&self, extra: &[&str]) -> Outcome {
+    pub(super) fn calibrate(&self, extra: &[&str]) -> Outcome {
         fs::write(self.path("session.toml"), &self.session).expect("the folder is writable");
         let (session, output) = (self.path("session.toml"), self.path("calibration.json"));
         ftcal(&[&["calibrate", text(&session), "-o", text(&output)], extra].concat())
     }
 }
 
-fn text(path: &Path) -> &str {
+pub(super) fn text(path: &Path) -> &str {
     path.to_str().expect("the path is UTF-8")
 }
 
@@ -96,7 +96,7 @@ fn three() -> Vec<DVector<f64>> {
     vec![spatial(0.0, 0.0, -1.0), spatial(1.0, 0.2, 0.0), spatial(-0.1, 1.0, 0.3)]
 }
 
-fn wrist(seed: u64) -> Bench {
+pub(super) fn wrist(seed: u64) -> Bench {
     // Each direction with its opposite, so that least squares finds the bias well.
     let loads: Vec<DVector<f64>> = three().into_iter().flat_map(|load| [-&load, load]).collect();
     let mut bench = Bench::new(Sensor::new(Dof::SpatialForceTorque, 8, seed), "spatial-force-torque");
@@ -334,6 +334,7 @@ fn solve_reports_what_the_contract_lists() {
     let mut contract = [
         "rank",
         "gages",
+        "gain",
         "samples",
         "eigenvalues",
         "noise_counts",

@@ -11,6 +11,7 @@ use super::capture::{Amount, Place, capture};
 use super::device::DeviceArgs;
 use super::output::Output;
 use super::{Failure, Streams};
+use crate::gain;
 use crate::link::client::Client;
 use crate::link::frame::Frame;
 use crate::link::transport::Transport;
@@ -57,10 +58,7 @@ pub fn data_rate(text: &str) -> Result<DataRate, String> {
 ///
 /// What is expected, where the converter has no such gain.
 pub fn gain(text: &str) -> Result<Gain, String> {
-    let gain = text.parse().ok().and_then(Gain::from_factor);
-    gain.ok_or_else(|| {
-        format!("expected one of {}", Gain::ALL.map(|gain| gain.factor().to_string()).join(", "))
-    })
+    gain::of_text(text).ok_or_else(|| format!("expected {}", gain::possible()))
 }
 
 /// Records.
@@ -91,8 +89,8 @@ fn record<Line: Transport>(
     words: &mut dyn Write,
     progress: bool,
 ) -> Result<(), Failure> {
-    let mut writer = RecordingWriter::new(output, usize::from(status.gages))?;
-    writer.comment(&format!("{} samples/s, gain {}", status.data_rate.hertz(), status.gain.factor()))?;
+    let mut writer = RecordingWriter::new(output, usize::from(status.gages), Some(status.gain))?;
+    writer.comment(&format!("{} samples/s", status.data_rate.hertz()))?;
     let mut saturated = 0_u64;
     let mut last_s = 0.0;
     let mut next_report_s = 0.0;

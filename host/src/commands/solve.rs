@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use ftcal_shared::refusal::Refusal;
+use ftcal_shared::units::Gain;
 use ftcal_shared::wire;
 use serde::Serialize;
 
@@ -49,6 +50,8 @@ pub struct Report {
     pub rank: usize,
     /// Gages p.
     pub gages: usize,
+    /// The converter's gain that the counts are of; `null` where the recording does not say it.
+    pub gain: Option<u8>,
     /// Samples recorded, used, and rejected by cause.
     pub samples: SampleCounts,
     /// Eigenvalues of the covariance of the codes (p), descending, counts².
@@ -125,6 +128,7 @@ impl Report {
         Ok(Self {
             rank,
             gages,
+            gain: recording.gain().map(Gain::factor),
             samples,
             eigenvalues: eigenvalues.iter().copied().collect(),
             noise_counts,
@@ -147,6 +151,10 @@ impl Report {
             write!(out, ", {count} {}", cause.in_words())?;
         }
         writeln!(out)?;
+        match self.gain {
+            Some(gain) => writeln!(out, "gain         {gain}")?,
+            None => writeln!(out, "gain         unknown: the recording does not say it")?,
+        }
         match self.noise_counts {
             Some(noise) => writeln!(out, "noise        {noise:.2} counts a channel")?,
             None => writeln!(out, "noise        unknown: as many gages as directions")?,

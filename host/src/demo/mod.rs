@@ -118,6 +118,9 @@ impl From<CalibrationRefusal> for DemoError {
     }
 }
 
+/// The converter's gain in all of the demonstration.
+const GAIN: Gain = Gain::X128;
+
 /// The bench and the board on it, with a client that talks to the board.
 pub struct Stage {
     /// The loads, their turning, and the random errors of whoever works on the bench.
@@ -144,7 +147,7 @@ pub fn run(options: &Options, out: &mut dyn Write, progress: &mut dyn Write) -> 
         chance: ChaCha8Rng::seed_from_u64(options.seed),
         workmanship: Workmanship::of(options.scenario),
     };
-    let status = stage.client.configure_adc(DataRate::Hz1000, Gain::X128)?;
+    let status = stage.client.configure_adc(DataRate::Hz1000, GAIN)?;
     writeln!(
         progress,
         "The sensor: {}, {} gages at {} samples/s, on a simulated board.",
@@ -155,7 +158,8 @@ pub fn run(options: &Options, out: &mut dyn Write, progress: &mut dyn Write) -> 
 
     let acquired = trials::acquire(&mut stage, &scenario, progress)?;
     let solved: Vec<_> = acquired.iter().map(|trial| trial.solved.clone()).collect();
-    let calibration = calibrate(scenario.sensor.dof(), trials::GRAVITY, &solved)?;
+    let of_trials = calibrate(scenario.sensor.dof(), trials::GRAVITY, &solved)?;
+    let calibration = Calibration { gain: Some(GAIN), ..of_trials };
     match solved.len() {
         1 => writeln!(progress, "Oriented by its known loads, handedness proven.")?,
         trials => writeln!(

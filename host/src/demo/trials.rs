@@ -10,7 +10,7 @@ use nalgebra::{DMatrix, DVector, Rotation3, Unit, UnitVector3, Vector3};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::{DemoError, Stage};
+use super::{DemoError, GAIN, Stage};
 use crate::calibration::consistency::ARM_ACCURACY_M;
 use crate::calibration::known_load::{KnownLoad, LoadCase, average};
 use crate::calibration::motion;
@@ -260,7 +260,7 @@ fn recording_of(samples: &[Sample]) -> Recording {
     let gages = samples.first().map_or(0, |sample| sample.codes.len());
     let times = samples.iter().map(|sample| sample.time_s).collect();
     let codes = samples.iter().flat_map(|sample| sample.codes.iter().copied()).collect();
-    Recording::from_codes(gages, times, codes)
+    Recording::from_codes(gages, times, codes).at_gain(Some(GAIN))
 }
 
 /// The sensor's solution as the host's calibration takes it. Which samples took part, and how certain the answer is, is what

@@ -2,6 +2,7 @@
 
 use ftcal_shared::wire::{FieldComparison, FieldOutcome, FieldPhase, FieldRefusal, Renewed};
 
+use super::remedy::OTHER_GAIN;
 use super::words;
 use crate::remedy::estimation;
 
@@ -91,11 +92,7 @@ fn explained(refusal: &FieldRefusal) -> (&'static str, String, &'static str) {
             "a load at one arm tells nothing of the torques",
             "Calibrate this sensor with `ftcal calibrate --reference`.",
         ),
-        FieldRefusal::GainChanged => (
-            "gain-changed",
-            "the calibration is for another gain",
-            "Set the gain back, or calibrate at this one.",
-        ),
+        FieldRefusal::GainChanged => ("gain-changed", "the calibration is for another gain", OTHER_GAIN),
         FieldRefusal::Converter => (
             "converter-fault",
             "the converter was at fault, or being started",

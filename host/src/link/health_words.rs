@@ -4,6 +4,7 @@
 use ftcal_shared::wire::health::StatusBit;
 use ftcal_shared::wire::{Found, PlayedFault, TareRefusal};
 
+use super::remedy::OTHER_GAIN;
 use super::words::adc_fault;
 
 /// What a bit says, and what to do about it, if anything.
@@ -49,10 +50,9 @@ pub const fn status(bit: StatusBit) -> (&'static str, Option<&'static str>) {
         StatusBit::Overload => ("the load is beyond its limits", Some("Take load off at once.")),
         StatusBit::Threshold => ("a component is beyond its threshold", None),
         StatusBit::Uncalibrated => ("there is no calibration", Some("Upload one with `ftcal upload`.")),
-        StatusBit::GainChanged => (
-            "the gain is not the one that the calibration was uploaded at",
-            Some("Set the gain back, or calibrate at this one."),
-        ),
+        StatusBit::GainChanged => {
+            ("the gain is not the one that the calibration was made at", Some(OTHER_GAIN))
+        }
         StatusBit::TareActive => ("a tare is subtracted", None),
         StatusBit::TrialRunning => ("a trial is running", None),
         StatusBit::SelfTest => ("a self-test is running", Some("Wait until it is over.")),

@@ -8,6 +8,10 @@ use super::serial::OpenError;
 use super::transport::TransportError;
 use crate::remedy::{Explained, estimation};
 
+/// What to do about a calibration of another gain than the converter has.
+pub const OTHER_GAIN: &str = "Set the gain that the calibration was made at with `ftcal settings --gain N` (`ftcal info` says which), or \
+                              calibrate at this one.";
+
 /// Explains an error of the client.
 pub fn of_client(error: &ClientError) -> Explained {
     let (cause, remedy) = match error {

@@ -105,9 +105,10 @@ pub fn no_wrench(cause: NoWrench) -> String {
         }
         NoWrench::Adc(fault) => format!("{}. {}", adc_fault(fault), remedy::of_adc_fault(fault)),
         NoWrench::GainChanged => {
-            "the gain was changed since the calibration was uploaded, so its counts are of another \
-                                  size; set the gain back, or calibrate at this one"
-                .into()
+            format!(
+                "the gain is not the one that the calibration was made at, so its counts are of another size. {}",
+                remedy::OTHER_GAIN
+            )
         }
         NoWrench::OpenInput(gages) => {
             format!("{} repeats itself as no live gage does: dead, open or shorted", channel_list(gages))

@@ -2,14 +2,19 @@
 //!
 //! Tolerated: a byte-order mark, CRLF line ends, blank lines, spaces around fields, comment lines anywhere. Not tolerated:
 //! anything that is not a finite number in a field, a line with a field too few or too many, another header.
+//! The gain may stand in several lines (recordings are put together from pieces) if it is the same in all of them.
 //! Time may go backwards (recordings are put together from pieces); a window of such a recording is refused.
 
 use std::path::Path;
 
-use ftcal_shared::units::MAX_GAGES;
+use ftcal_shared::units::{Gain, MAX_GAGES};
 
 use super::{MIN_GAGES, Recording, shown};
+use crate::gain;
 use crate::place::Place;
+
+/// What a line begins with, behind its `#`, that states the gain.
+pub(super) const GAIN: &str = "converter gain:";
 
 /// The largest count: beyond it, not every integer has an f64 of its own.
 const LARGEST_COUNT: f64 = 9_007_199_254_740_992.0;
@@ -74,6 +79,7 @@ pub fn parse(bytes: &[u8], file: &str) -> Result<Recording, RecordingError> {
 
 fn recording(bytes: &[u8]) -> Result<Recording, Unexpected> {
     let text = text(bytes)?;
+    let gain = gain_of_lines(text)?;
     let mut lines = (1..).zip(text.lines()).filter(|(_, line)| holds_data(line));
     let (header_line, header) = lines.next().ok_or_else(|| Unexpected {
         place: Place { line: 1, column: 1 },
@@ -105,7 +111,7 @@ fn recording(bytes: &[u8]) -> Result<Recording, Unexpected> {
             found: "the end of the file".to_owned(),
         });
     }
-    Ok(Recording::from_counts(gages, times_s, &counts))
+    Ok(Recording::from_counts(gages, times_s, &counts).at_gain(gain))
 }
 
 /// The text of the file, without its byte-order mark.
@@ -127,6 +133,30 @@ fn text(bytes: &[u8]) -> Result<&str, Unexpected> {
 fn holds_data(line: &str) -> bool {
     let line = line.trim();
     !line.is_empty() && !line.starts_with('#')
+}
+
+/// The gain that the recording states; `None` where it states none.
+fn gain_of_lines(text: &str) -> Result<Option<Gain>, Unexpected> {
+    let mut stated: Option<(usize, Gain)> = None;
+    for (line, content) in (1..).zip(text.lines()) {
+        let comment = content.trim().strip_prefix('#').map(str::trim);
+        let Some(value) = comment.and_then(|comment| comment.strip_prefix(GAIN)).map(str::trim) else {
+            continue;
+        };
+        let unexpected = |expected: String| Unexpected {
+            place: Place { line, column: 1 },
+            expected,
+            found: quoted(value),
+        };
+        let gain = gain::of_text(value).ok_or_else(|| unexpected(gain::possible()))?;
+        match stated {
+            Some((first, other)) if other != gain => {
+                return Err(unexpected(format!("gain {} as in line {first}", other.factor())));
+            }
+            _ => stated = stated.or(Some((line, gain))),
+        }
+    }
+    Ok(stated.map(|(_, gain)| gain))
 }
 
 /// The number of gages that a header announces.
@@ -180,6 +210,7 @@ fn quoted(field: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use ftcal_shared::units::Gain;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
@@ -206,6 +237,19 @@ mod tests {
     }
 
     #[test]
+    fn the_gain_is_what_is_stated_wherever_that_is() {
+        let gain = |text: &str| parse(text.as_bytes(), "rec.csv").expect("a recording").gain();
+        assert_eq!(gain("t_s,ch0,ch1\n0,1,2\n"), None);
+        assert_eq!(gain("# converter gain: 64\nt_s,ch0,ch1\n0,1,2\n"), Some(Gain::X64));
+        assert_eq!(
+            gain("t_s,ch0,ch1\r\n  #converter gain:1\r\n0,1,2\r\n# converter gain: 1"),
+            Some(Gain::X1)
+        );
+        // Words about a gain are no statement of it.
+        assert_eq!(gain("# gain: 500\n# at converter gain: 3\nt_s,ch0,ch1\n0,1,2\n"), None);
+    }
+
+    #[test]
     fn every_error_says_where() {
         for (text, line, column) in [
             ("", 1, 1),
@@ -222,6 +266,9 @@ mod tests {
             ("t_s,ch0,ch1\n0,,2\n", 2, 2),
             ("t_s,ch0,ch1\n0,1,0x12\n", 2, 3),
             ("t_s,ch0,ch1\n0,1,1e300\n", 2, 3),
+            ("# converter gain: 3\nt_s,ch0,ch1\n0,1,2\n", 1, 1),
+            ("# converter gain:\nt_s,ch0,ch1\n0,1,2\n", 1, 1),
+            ("# converter gain: 64\nt_s,ch0,ch1\n0,1,2\n# converter gain: 128\n1,1,2\n", 4, 1),
             ("t_s,ch0,ch1,ch2,ch3,ch4,ch5,ch6,ch7,ch8,ch9,ch10,ch11,ch12\n", 1, 14),
         ] {
             assert_eq!(place_of_error(text).0, Place { line, column }, "{text:?}");

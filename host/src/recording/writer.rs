@@ -3,9 +3,10 @@
 use std::fmt::Display;
 use std::io::{self, Write};
 
-use ftcal_shared::units::AdcCode;
+use ftcal_shared::units::{AdcCode, Gain};
 
 use super::Recording;
+use super::parse::GAIN;
 
 /// Writes a recording while it is being made.
 #[derive(Debug)]
@@ -14,12 +15,15 @@ pub struct RecordingWriter<W: Write> {
 }
 
 impl<W: Write> RecordingWriter<W> {
-    /// Begins a recording of this many gages: writes the header.
+    /// Begins a recording of this many gages at this gain, where it is known: writes the header.
     ///
     /// # Errors
     ///
     /// Those of the destination.
-    pub fn new(mut out: W, gages: usize) -> io::Result<Self> {
+    pub fn new(mut out: W, gages: usize, gain: Option<Gain>) -> io::Result<Self> {
+        if let Some(gain) = gain {
+            writeln!(out, "# {GAIN} {}", gain.factor())?;
+        }
         write!(out, "t_s")?;
         for gage in 0..gages {
             write!(out, ",ch{gage}")?;
@@ -71,7 +75,7 @@ impl<W: Write> RecordingWriter<W> {
 ///
 /// Those of the destination.
 pub fn write(recording: &Recording, out: impl Write) -> io::Result<()> {
-    let mut writer = RecordingWriter::new(out, recording.gages())?;
+    let mut writer = RecordingWriter::new(out, recording.gages(), recording.gain())?;
     for (time_s, codes) in recording.samples() {
         if recording.quantisation().is_exact() || super::is_saturated(codes) {
             writer.sample(time_s, codes)?;
@@ -84,7 +88,7 @@ pub fn write(recording: &Recording, out: impl Write) -> io::Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use ftcal_shared::units::AdcCode;
+    use ftcal_shared::units::{AdcCode, Gain};
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
@@ -95,10 +99,12 @@ mod tests {
     #[test]
     fn what_is_written_reads_back_the_same() {
         let mut random = ChaCha8Rng::seed_from_u64(2);
-        for gages in 2..=12 {
+        for gages in 2..=12_usize {
             let times: Vec<f64> = (0..50).map(|i| f64::from(i) / 3.0).collect();
             let codes = (0..50 * gages).map(|_| AdcCode::saturating(random.random::<i32>().into())).collect();
-            let recording = Recording::from_codes(gages, times, codes);
+            // Two gages know no gain, three the smallest, four the next.
+            let gain = gages.checked_sub(3).and_then(|number| Gain::ALL.get(number).copied());
+            let recording = Recording::from_codes(gages, times, codes).at_gain(gain);
             let mut file = Vec::new();
             write(&recording, &mut file).expect("memory takes everything");
             assert_eq!(parse(&file, "written").expect("a recording"), recording);
@@ -121,7 +127,7 @@ mod tests {
 
     #[test]
     fn comments_are_no_samples() {
-        let mut writer = RecordingWriter::new(Vec::new(), 2).expect("memory takes everything");
+        let mut writer = RecordingWriter::new(Vec::new(), 2, None).expect("memory takes everything");
         writer.comment("first\nsecond").expect("memory takes everything");
         writer.sample(0.0, &[AdcCode::ZERO; 2]).expect("memory takes everything");
         let file = writer.finish().expect("memory takes everything");

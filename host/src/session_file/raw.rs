@@ -4,12 +4,13 @@
 
 use std::path::Path;
 
-use ftcal_shared::units::Dof;
+use ftcal_shared::units::{Dof, Gain};
 use nalgebra::DVector;
 use serde::Deserialize;
 use toml::Spanned;
 
 use crate::calibration::consistency::{ARM_ACCURACY_M, MASS_ACCURACY};
+use crate::gain;
 use crate::gravity::{Gravity, POSSIBLE};
 
 use super::{Rest, Role, SessionKnownLoad, SessionTrial, Turning, place};
@@ -38,6 +39,7 @@ const BEST_MASS_ACCURACY: f64 = 1e-6;
 #[serde(deny_unknown_fields)]
 pub(super) struct Session {
     dof: Spanned<toml::Value>,
+    gain: Option<Spanned<i64>>,
     gravity: Option<Spanned<f64>>,
     gravity_accuracy: Option<Spanned<f64>>,
     #[serde(default)]
@@ -82,7 +84,7 @@ impl Unexpected {
 
 impl Session {
     pub(super) fn checked(self, path: &Path, text: &str) -> Result<super::Session, Unexpected> {
-        let (dof, gravity) = (self.dof()?, self.gravity()?);
+        let (dof, gain, gravity) = (self.dof()?, self.gain()?, self.gravity()?);
         if self.trial.is_empty() {
             return Err(Unexpected {
                 offset: text.len(),
@@ -99,12 +101,22 @@ impl Session {
         }
         let context = Context { dof, folder: path.parent().unwrap_or(Path::new("")), text };
         let trials = self.trial.iter().map(|trial| trial.checked(&context)).collect::<Result<_, _>>()?;
-        Ok(super::Session { file: path.to_owned(), dof, gravity, trials })
+        Ok(super::Session { file: path.to_owned(), dof, gain, gravity, trials })
     }
 
     fn dof(&self) -> Result<Dof, Unexpected> {
         let value = self.dof.as_ref();
         Dof::deserialize(value.clone()).map_err(|_| Unexpected::at(&self.dof, SENSORS, value.to_string()))
+    }
+
+    /// The converter's gain; `None` where the session says nothing of it.
+    fn gain(&self) -> Result<Option<Gain>, Unexpected> {
+        let checked = |stated: &Spanned<i64>| {
+            let factor = *stated.as_ref();
+            let impossible = || Unexpected::at(stated, gain::possible(), factor.to_string());
+            gain::of_factor(factor).ok_or_else(impossible)
+        };
+        self.gain.as_ref().map(checked).transpose()
     }
 
     /// Local gravity; `None` where the session says nothing of it.

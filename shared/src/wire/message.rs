@@ -12,7 +12,7 @@ use crate::refusal::Refusal;
 use crate::units::{DataRate, Decimation, Dof, Gain, MAX_DOF, MAX_GAGES};
 
 /// The version of every message but the greeting.
-pub const PROTOCOL_VERSION: u16 = 2;
+pub const PROTOCOL_VERSION: u16 = 3;
 
 /// What a sensor of this product answers to a greeting.
 pub const PRODUCT: [u8; 5] = *b"ftcal";
@@ -188,6 +188,8 @@ pub enum Rejection {
 pub struct CalibrationUpload {
     /// The axes, in the order of the matrix's rows.
     pub dof: Dof,
+    /// The converter's gain that it was made at: its counts are counts at this gain, and at no other.
+    pub gain: Gain,
     /// b (p), counts.
     pub bias_counts: GageList<f64>,
     /// C (m × p, row by row), newton and newton metre per count.
@@ -197,10 +199,10 @@ pub struct CalibrationUpload {
 }
 
 impl CalibrationUpload {
-    /// The identity of these numbers: CRC-32 over the axes, the bias and the matrix as they travel.
+    /// The identity of these numbers: CRC-32 over the axes, the gain's factor, the bias and the matrix as they travel.
     pub fn identity_of_numbers(&self) -> u32 {
         let mut digest = super::frame::CHECK.digest();
-        digest.update(&[self.dof as u8]);
+        digest.update(&[self.dof as u8, self.gain.factor()]);
         for bias in &self.bias_counts {
             digest.update(&bias.to_le_bytes());
         }
@@ -208,5 +210,34 @@ impl CalibrationUpload {
             digest.update(&element.to_le_bytes());
         }
         digest.finalize()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{CalibrationUpload, GageList};
+    use crate::units::{Dof, Gain};
+
+    #[test]
+    fn whatever_a_calibration_says_is_in_its_identity() {
+        let calibration = CalibrationUpload {
+            dof: Dof::PlanarForce,
+            gain: Gain::X128,
+            bias_counts: GageList::from_slice(&[1.0, 2.0]).unwrap(),
+            matrix: heapless::Vec::from_slice(&[1.0, 0.0, 0.0, 1.0]).unwrap(),
+            identity: 0,
+        };
+        let identity = calibration.identity_of_numbers();
+        let mut bias = calibration.clone();
+        bias.bias_counts[1] = -2.0;
+        let mut matrix = calibration.clone();
+        matrix.matrix[3] = 2.0;
+        let dof = CalibrationUpload { dof: Dof::SpatialForce, ..calibration.clone() };
+        for other in [dof, bias, matrix] {
+            assert_ne!(other.identity_of_numbers(), identity, "{other:?}");
+        }
+        let gains =
+            Gain::ALL.map(|gain| CalibrationUpload { gain, ..calibration.clone() }.identity_of_numbers());
+        assert_eq!(gains.iter().filter(|&&of_gain| of_gain == identity).count(), 1, "{gains:08x?}");
     }
 }

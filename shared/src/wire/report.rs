@@ -210,7 +210,7 @@ pub enum InvalidCause {
     Saturated(u16),
     /// The converter is at fault.
     Adc(AdcFault),
-    /// The converter's gain was changed since the calibration was uploaded: its counts are of another size now.
+    /// The converter has another gain than the calibration was made at: its counts are of another size.
     GainChanged,
     /// A component is infinite or beyond all measure: the calibration's numbers are too large for these codes.
     NonFinite,

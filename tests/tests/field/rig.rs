@@ -13,6 +13,7 @@ use ftcal::simulator::operator::turn;
 use ftcal::simulator::panel::SharedPanel;
 use ftcal::simulator::scenario::Scenario;
 use ftcal::simulator::sensor::SoftwareSensor;
+use ftcal_shared::units::Gain;
 use ftcal_shared::wire::{CalibrationUpload, FieldOutcome, FieldPhase, FieldRefusal, GageList, StreamKind};
 use nalgebra::{UnitVector3, Vector3};
 
@@ -43,7 +44,8 @@ pub(super) fn upload(sensor: &SoftwareSensor) -> CalibrationUpload {
     #[expect(clippy::cast_possible_truncation, reason = "this is the form in which it travels")]
     let matrix = matrix.transpose().iter().map(|&element| element as f32).collect();
     let bias_counts = GageList::from_slice(sensor.bias_counts().as_slice()).expect("at most twelve");
-    let mut upload = CalibrationUpload { dof: sensor.dof(), bias_counts, matrix, identity: 0 };
+    let mut upload =
+        CalibrationUpload { dof: sensor.dof(), gain: Gain::default(), bias_counts, matrix, identity: 0 };
     upload.identity = upload.identity_of_numbers();
     upload
 }

@@ -88,7 +88,8 @@ impl<const GAGES: usize, const HIGHER: usize> Rig<GAGES, HIGHER> {
         #[expect(clippy::cast_possible_truncation, reason = "this is the form in which it travels")]
         let matrix = self.matrix.transpose().iter().map(|&element| element as f32).collect();
         let bias_counts = GageList::from_slice(self.truth.bias_counts().as_slice()).expect("at most twelve");
-        let mut upload = CalibrationUpload { dof: self.truth.dof(), bias_counts, matrix, identity: 0 };
+        let mut upload =
+            CalibrationUpload { dof: self.truth.dof(), gain: Gain::X128, bias_counts, matrix, identity: 0 };
         upload.identity = upload.identity_of_numbers();
         upload
     }

@@ -139,7 +139,13 @@ fn ask(sensor: &mut Subject, request: Request) {
 fn upload() -> CalibrationUpload {
     let bias_counts = GageList::from_slice(&[10_000.5; GAGES]).unwrap_or_default();
     let matrix = matrix().into_iter().collect();
-    let mut upload = CalibrationUpload { dof: Dof::SpatialForceTorque, bias_counts, matrix, identity: 0 };
+    let mut upload = CalibrationUpload {
+        dof: Dof::SpatialForceTorque,
+        gain: Gain::X128,
+        bias_counts,
+        matrix,
+        identity: 0,
+    };
     upload.identity = upload.identity_of_numbers();
     upload
 }

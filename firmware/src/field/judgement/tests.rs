@@ -33,9 +33,15 @@ fn bias() -> GageList<f64> {
 
 fn stored(shape: &Rows<GAGES>) -> StoredCalibration {
     let matrix = dual(3, shape).unwrap().iter().flatten().copied().collect();
-    let mut upload = CalibrationUpload { dof: Dof::SpatialForce, bias_counts: bias(), matrix, identity: 0 };
+    let mut upload = CalibrationUpload {
+        dof: Dof::SpatialForce,
+        gain: Gain::X128,
+        bias_counts: bias(),
+        matrix,
+        identity: 0,
+    };
     upload.identity = upload.identity_of_numbers();
-    StoredCalibration { upload, gain: Gain::X128, origin: CalibrationOrigin::Uploaded }
+    StoredCalibration { upload, origin: CalibrationOrigin::Uploaded }
 }
 
 /// What a trial makes of a sensor of this shape, in a frame of its own, which is mirrored.

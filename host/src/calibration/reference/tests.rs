@@ -20,6 +20,7 @@ fn truth(sensor: &Sensor) -> Calibration {
     Calibration {
         dof: sensor.dof,
         method: Method::Sfm,
+        gain: None,
         gravity: STANDARD_GRAVITY,
         matrix: matrix_of_shape(&sensor.shape).expect("of full rank"),
         bias_counts: sensor.bias_counts.clone(),

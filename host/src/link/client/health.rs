@@ -161,6 +161,7 @@ impl<Line: Transport> Client<Line> {
 mod tests {
     use std::time::Duration;
 
+    use ftcal_shared::units::Gain;
     use ftcal_shared::wire::health::StatusBit;
     use ftcal_shared::wire::{CalibrationUpload, GageList, LoadLimits, TarePhase};
 
@@ -185,7 +186,8 @@ mod tests {
         #[expect(clippy::cast_possible_truncation, reason = "this is the form in which it travels")]
         let matrix = matrix.iter().map(|&element| element as f32).collect();
         let bias_counts = GageList::from_slice(sensor.bias_counts().as_slice()).expect("room");
-        let mut upload = CalibrationUpload { dof: sensor.dof(), bias_counts, matrix, identity: 0 };
+        let mut upload =
+            CalibrationUpload { dof: sensor.dof(), gain: Gain::default(), bias_counts, matrix, identity: 0 };
         upload.identity = upload.identity_of_numbers();
         upload
     }

@@ -104,7 +104,13 @@ mod tests {
     fn calibration(first_element: f32) -> CalibrationUpload {
         let bias_counts = GageList::from_slice(&[0.0; 8]).expect("room");
         let matrix = std::iter::once(first_element).chain([0.5; 47]).collect();
-        let mut upload = CalibrationUpload { dof: Dof::SpatialForceTorque, bias_counts, matrix, identity: 0 };
+        let mut upload = CalibrationUpload {
+            dof: Dof::SpatialForceTorque,
+            gain: Gain::X64,
+            bias_counts,
+            matrix,
+            identity: 0,
+        };
         upload.identity = upload.identity_of_numbers();
         upload
     }
@@ -123,12 +129,12 @@ mod tests {
         let mut client = switched_on(ScenarioKind::Wrist, &flash);
         assert_eq!(client.status().expect("answers").kept.current, KeptCalibration::Nothing);
         assert_eq!(rejected(client.store_calibration()), Rejection::Uncalibrated);
-        client.configure_adc(DataRate::Hz500, Gain::X64).expect("the converter starts");
+        client.configure_adc(DataRate::Hz500, Gain::X1).expect("the converter starts");
         client.upload_calibration(&calibration(1.0)).expect("taken");
         client.store_calibration().expect("kept");
         client.upload_calibration(&calibration(2.0)).expect("taken");
 
-        // The gain is that of the calibration, the rate that of a new sensor.
+        // The gain is that of the calibration, whatever the converter had meanwhile; the rate that of a new sensor.
         let mut client = switched_on(ScenarioKind::Wrist, &flash);
         let status = client.status().expect("answers");
         assert_eq!((status.data_rate, status.gain), (DataRate::default(), Gain::X64));

@@ -7,7 +7,7 @@ mod stream;
 
 use std::time::Duration;
 
-use ftcal_shared::units::Dof;
+use ftcal_shared::units::{Dof, Gain};
 use ftcal_shared::wire::frame::{Decoder, encode};
 use ftcal_shared::wire::{CalibrationUpload, GageList, Hello, PRODUCT, PROTOCOL_VERSION, ToDevice, ToHost};
 
@@ -37,7 +37,8 @@ fn first_gages(gages: usize) -> CalibrationUpload {
     }
     let mut bias_counts = GageList::new();
     bias_counts.resize(gages, 0.0).expect("fits");
-    let mut upload = CalibrationUpload { dof: Dof::PlanarForce, bias_counts, matrix, identity: 0 };
+    let mut upload =
+        CalibrationUpload { dof: Dof::PlanarForce, gain: Gain::default(), bias_counts, matrix, identity: 0 };
     upload.identity = upload.identity_of_numbers();
     upload
 }
@@ -51,6 +52,7 @@ fn true_calibration(client: &Client<SimulatedBoard>) -> CalibrationUpload {
     #[expect(clippy::cast_possible_truncation, reason = "the sensor applies single precision")]
     let mut upload = CalibrationUpload {
         dof: sensor.dof(),
+        gain: Gain::default(),
         bias_counts: GageList::from_slice(sensor.bias_counts().as_slice()).expect("fits"),
         matrix: elements.iter().map(|&element| element as f32).collect(),
         identity: 0,

@@ -65,6 +65,11 @@ fn wrenches_are_read_with_the_calibration_in_use() {
     client.configure_adc(DataRate::Hz1000, Gain::X64).expect("the converter starts");
     client.stream(StreamKind::Wrench).expect("answers");
     assert_eq!(next(&mut client), Measured::Invalid(NoWrench::GainChanged));
+    // To give it to the sensor once more does not make it one of this gain.
+    client.stream(StreamKind::Off).expect("answers");
+    client.upload_calibration(&first_gages(4)).expect("a sound calibration");
+    client.stream(StreamKind::Wrench).expect("answers");
+    assert_eq!(next(&mut client), Measured::Invalid(NoWrench::GainChanged));
     client.configure_adc(DataRate::Hz1000, Gain::X128).expect("the converter starts");
     client.stream(StreamKind::Wrench).expect("answers");
     assert!(matches!(next(&mut client), Measured::Valid(_)));
