@@ -33,8 +33,8 @@ pub struct Arguments {
     /// would alias filtered out
     #[arg(long, value_name = "HZ")]
     output_rate: Option<u32>,
-    /// Print no wrench that is older than this when it is printed, milliseconds, by the clock of this machine; the line's own
-    /// delay is not in it
+    /// Print no wrench that is older than this when it is printed, milliseconds: since it was taken, with what the filter of
+    /// --output-rate delays it, what it waits for in the sensor and in this machine; the line's own delay is not in it
     #[arg(long, value_name = "MS")]
     max_age_ms: Option<u64>,
 }

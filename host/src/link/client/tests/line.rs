@@ -116,7 +116,7 @@ impl Transport for Slow {
         self.0.write(bytes)
     }
 
-    fn read(&mut self, received: &mut Vec<u8>, deadline: Duration) -> Result<(), TransportError> {
+    fn read(&mut self, received: &mut Vec<u8>, deadline: Duration) -> Result<Duration, TransportError> {
         self.0.read(received, deadline)
     }
 
