@@ -59,8 +59,8 @@ impl<Line: Transport> Client<Line> {
         self.conversation.line()
     }
 
-    /// Samples that are missing between those that came, since the stream was started last: lost by the converter, by the
-    /// sensor or on the line.
+    /// Samples that are missing between those that were taken, since the stream was started last: lost by the converter, by the
+    /// sensor or on the line, or dropped because nobody took them in time.
     pub const fn lost_samples(&self) -> u64 {
         self.conversation.lost_samples()
     }
@@ -310,7 +310,7 @@ impl<Line: Transport> Client<Line> {
     fn request_output(&mut self, decimation: Option<Decimation>) -> Result<Output, ClientError> {
         match self.conversation.request(Request::Output(decimation), ANSWER)? {
             Response::Output(output) => {
-                self.conversation.know_filter_delay(filter_delay(&output));
+                self.conversation.know_filter_delay(filter_delay(output));
                 Ok(output)
             }
             _ => Err(LinkError::UnexpectedResponse.into()),
@@ -348,7 +348,7 @@ impl<Line: Transport> Client<Line> {
 }
 
 /// What the sensor's filter delays each wrench.
-pub fn filter_delay(output: &Output) -> Duration {
+pub fn filter_delay(output: Output) -> Duration {
     Duration::from_secs(output.group_delay_conversions.into()) / output.data_rate.hertz()
 }
 

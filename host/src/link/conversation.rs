@@ -105,7 +105,7 @@ impl<Line: Transport> Conversation<Line> {
         &self.line
     }
 
-    /// Samples that are missing between those that came.
+    /// Samples that are missing between those that were taken.
     pub(super) const fn lost_samples(&self) -> u64 {
         self.lost_samples
     }
@@ -201,7 +201,12 @@ impl<Line: Transport> Conversation<Line> {
             let deadline = self.line.elapsed() + within;
             self.wait_until(Awaited::Frame, deadline)?;
         }
-        Ok(self.frames.pop_front())
+        let frame = self.frames.pop_front();
+        if let Some(frame) = &frame {
+            let (index, stride) = frame.place();
+            self.lost_samples += u64::from(self.continuity.missing_before(index, stride));
+        }
+        Ok(frame)
     }
 
     /// Lets time pass; samples that come meanwhile are kept.
@@ -359,8 +364,6 @@ impl<Line: Transport> Conversation<Line> {
     }
 
     fn keep(&mut self, frame: Frame) {
-        let (index, stride) = frame.place();
-        self.lost_samples += u64::from(self.continuity.missing_before(index, stride));
         if self.frames.len() == KEPT_SAMPLES {
             self.frames.pop_front();
             self.dropped_samples += 1;

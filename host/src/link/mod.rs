@@ -15,7 +15,7 @@
 //! | [`remedy`] | what to do about each error |
 
 pub mod client;
-pub mod continuity;
+mod continuity;
 mod conversation;
 pub mod error;
 pub mod field_words;

@@ -4,8 +4,8 @@ use std::fmt::Write;
 
 use ftcal_shared::fault::AdcFault;
 use ftcal_shared::wire::{
-    AdcState, ClockSource, Failure, KeptCalibration, Rejection, ResetCause, Resumption, TrialPhase,
-    TrialStatus,
+    AdcState, ClockSource, Diagnosis, Failure, KeptCalibration, Rejection, ResetCause, Resumption,
+    TrialPhase, TrialStatus,
 };
 
 use super::frame::NoWrench;
@@ -159,6 +159,15 @@ pub const fn reset_cause(cause: ResetCause) -> &'static str {
         ResetCause::Pin => "the reset pin",
         ResetCause::Watchdog => "the watchdog: a task hung; report it, with the log (`ftcal logs`)",
         ResetCause::Software => "the firmware itself",
+    }
+}
+
+/// What the sensor says of its last start.
+pub fn restart(diagnosis: &Diagnosis) -> String {
+    let cause = format!("the cause is {}", reset_cause(diagnosis.reset));
+    match &diagnosis.failure {
+        None => cause,
+        Some(failed) => format!("{cause}, after {}", failure(failed)),
     }
 }
 
