@@ -10,6 +10,7 @@ use std::time::Duration;
 
 use ftcal_shared::fault::AdcFault;
 use ftcal_shared::units::{Axis, DeviceTime, Dof, MAX_DOF, SampleIndex};
+use ftcal_shared::wire::health::StatusWord;
 use ftcal_shared::wire::{CodesFrame, InvalidCause, Run, WrenchFrame};
 
 /// What a sensor sends unasked.
@@ -51,8 +52,8 @@ pub struct WrenchSample {
     /// When it was taken, by the clock of the line that it came over: before the sensor's filter delayed it, and before it waited for
     /// others of its frame. The line's own delay is not told from it.
     pub taken: Duration,
-    /// The low 16 bits of the sensor's status word.
-    pub status: u16,
+    /// The lower half of the sensor's status word.
+    pub status: StatusWord,
     /// The largest χ² of the parity channels among the samples of its frame.
     pub parity: Option<f32>,
     /// The sensor's temperature, where it measures that.
@@ -191,7 +192,7 @@ impl WrenchSample {
                 stride: if is_silence { 0 } else { frame.stride },
                 time: DeviceTime::from_micros(frame.time.as_micros().saturating_add(into_run)),
                 taken: arrived.saturating_sub(Duration::from_micros(age) + filter_delay),
-                status: frame.status,
+                status: StatusWord::from_bits(frame.status.into()),
                 parity,
                 temperature_celsius: frame
                     .temperature_centi_celsius
@@ -227,6 +228,7 @@ mod tests {
     use std::time::Duration;
 
     use ftcal_shared::units::{Axis, DeviceTime, Dof, MAX_DOF, SampleIndex};
+    use ftcal_shared::wire::health::StatusWord;
     use ftcal_shared::wire::{InvalidCause, PackedWrenches, Run, WrenchFrame};
 
     use super::{KnownCalibration, Measured, NoWrench, WrenchSample};
@@ -276,7 +278,8 @@ mod tests {
             assert!(sample.time.as_micros().abs_diff(1000 + u64::from(625 * step) / 10) <= 1);
             let age = ARRIVED.saturating_sub(sample.taken).as_micros();
             assert_eq!(age + u128::from(sample.time.as_micros()), 700 + 90 + 1250);
-            assert_eq!((sample.status, sample.parity, sample.stride), (0b101, Some(9.5), 4));
+            let status = StatusWord::from_bits(0b101);
+            assert_eq!((sample.status, sample.parity, sample.stride), (status, Some(9.5), 4));
             assert_eq!(sample.temperature_celsius, Some(-2.5));
         }
         assert_eq!((samples.len(), samples[4].time.as_micros()), (5, 1250));
