@@ -208,14 +208,24 @@ pub fn trial_status(trial: &TrialStatus) -> String {
     if trial.phase == TrialPhase::None {
         return match trial.resumption {
             Resumption::Lost => {
-                format!("{phase}; the one before the reset is lost: it had no checkpoint yet")
+                format!(
+                    "{phase}; the one before the reset is lost: it had no checkpoint yet, or none that can be read"
+                )
             }
             Resumption::None | Resumption::Resumed => phase.into(),
         };
     }
     let mut words = format!("{phase}, rank {}, {} samples used", trial.rank, trial.used);
     if trial.resumption == Resumption::Resumed {
-        words.push_str(" (resumed after a reset; what came between its last checkpoint and that is lost)");
+        words.push_str(match trial.phase {
+            TrialPhase::Running => {
+                " (resumed after a reset; what came between its last checkpoint and that is lost)"
+            }
+            // The sensor does not say which.
+            _ => {
+                " (kept across a reset: whole if it was stopped before that, and else without what came after its last checkpoint)"
+            }
+        });
     }
     if trial.checkpointed > 0 {
         let _ = write!(words, ", {} of them safe from a reset", trial.checkpointed);
