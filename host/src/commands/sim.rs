@@ -9,12 +9,14 @@ use std::{io, thread};
 
 use anyhow::{Context, anyhow};
 use clap::Args;
-use ftcal_shared::units::{DataRate, Gain};
+use ftcal_firmware::storage::memory::Memory;
+use ftcal_shared::units::DataRate;
 use ftcal_shared::wire::frame::encode;
 use ftcal_shared::wire::{Request, ToDevice};
 
 use super::record::data_rate;
 use super::{Failure, Streams};
+use crate::link::transport::Transport;
 use crate::recording::shown;
 use crate::simulator::bench::Bench;
 use crate::simulator::board::SimulatedBoard;
@@ -35,9 +37,10 @@ pub struct Arguments {
     /// Seed of everything random
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Data rate at the start, samples per second: 250, 500, 1000, 2000, 4000, 8000, 16000 or 32000
-    #[arg(long, value_name = "HZ", default_value = "1000", value_parser = data_rate)]
-    rate: DataRate,
+    /// Data rate at the start, samples per second: 250, 500, 1000, 2000, 4000, 8000, 16000 or 32000; without it, that which its
+    /// memory keeps, and 1000 where it keeps none
+    #[arg(long, value_name = "HZ", value_parser = data_rate)]
+    rate: Option<DataRate>,
     /// Make a symbolic link to the port here
     #[arg(long, value_name = "PATH")]
     link: Option<PathBuf>,
@@ -73,16 +76,31 @@ pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> 
 
 /// Serves the firmware's application, compiled for this machine.
 fn serve_board(arguments: &Arguments, scenario: &Scenario, streams: &mut Streams) -> Result<(), Failure> {
-    let board = SimulatedBoard::with_flash(scenario.sensor.clone(), arguments.seed, flash(arguments)?)
-        .map_err(Failure::input)?;
+    let board = switched_on(scenario, arguments.seed, flash(arguments)?, arguments.rate)?;
     let bench = board.bench();
     let mut board = board.into_board();
-    let configure = ToDevice::Request(0, Request::ConfigureAdc(arguments.rate, Gain::default()));
-    board.receive(&encode(&configure).map_err(|_| anyhow!("the request does not fit into a frame"))?);
     let mut terminal = PseudoTerminal::open().context("no pseudo-terminal can be made")?;
     let _link = announce(arguments, scenario, &bench, terminal.path(), streams)?;
     let stop = operate(bench)?;
     Ok(terminal.serve(board.as_mut(), &stop).context("the pseudo-terminal cannot be served")?)
+}
+
+/// A board with this flash, which is switched on and told to go at this rate, if at any; all else is as the flash keeps it.
+fn switched_on(
+    scenario: &Scenario,
+    seed: u64,
+    flash: SimulatedFlash,
+    rate: Option<DataRate>,
+) -> Result<SimulatedBoard, Failure> {
+    let kept = Memory::new(flash.clone()).read().ok().and_then(|kept| kept.settings).unwrap_or_default();
+    let mut board =
+        SimulatedBoard::with_flash(scenario.sensor.clone(), seed, flash).map_err(Failure::input)?;
+    if let Some(rate) = rate {
+        let configure = ToDevice::Request(0, Request::ConfigureAdc(rate, kept.gain));
+        let frame = encode(&configure).map_err(|_| anyhow!("the request does not fit into a frame"))?;
+        board.write(&frame).context("the simulated line takes no bytes")?;
+    }
+    Ok(board)
 }
 
 /// The flash in the file, or one that is as new.
@@ -187,5 +205,34 @@ fn carry_out_lines(bench: &SharedBench, stop: &AtomicBool) {
                 Err(error) => eprintln!("{line}: {error}; type `help`"),
             },
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ftcal_shared::units::{DataRate, Gain};
+
+    use super::{Scenario, ScenarioKind, SimulatedFlash, switched_on};
+    use crate::link::client::Client;
+    use crate::simulator::board::SimulatedBoard;
+
+    #[test]
+    fn what_the_flash_keeps_holds_unless_a_rate_is_asked_for() {
+        let scenario = Scenario::new(ScenarioKind::Force, 1).expect("sizes fit");
+        let flash = SimulatedFlash::default();
+        let on = |rate| -> Client<SimulatedBoard> {
+            let board = switched_on(&scenario, 1, flash.clone(), rate).expect("sizes fit");
+            Client::connect(board).expect("answers")
+        };
+        let set = |client: &mut Client<SimulatedBoard>| {
+            let status = client.wait_for_converter().expect("the converter starts");
+            (status.data_rate, status.gain)
+        };
+        let mut client = on(None);
+        assert_eq!(set(&mut client), (DataRate::Hz1000, Gain::X128));
+        client.configure_adc(DataRate::Hz500, Gain::X64).expect("the converter starts");
+        client.store_settings().expect("stores");
+        assert_eq!(set(&mut on(None)), (DataRate::Hz500, Gain::X64));
+        assert_eq!(set(&mut on(Some(DataRate::Hz2000))), (DataRate::Hz2000, Gain::X64));
     }
 }
