@@ -4,7 +4,7 @@ use std::io::BufRead;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use std::{io, thread};
 
 use anyhow::{Context, anyhow};
@@ -23,7 +23,9 @@ use crate::simulator::board::SimulatedBoard;
 use crate::simulator::bus::SharedBench;
 use crate::simulator::emulator::Emulator;
 use crate::simulator::flash::SimulatedFlash;
+use crate::simulator::light::{LightWatch, in_words};
 use crate::simulator::operator::{HELP, Order, turn};
+use crate::simulator::panel::SharedPanel;
 use crate::simulator::pseudo_terminal::{PortLink, PseudoTerminal};
 use crate::simulator::scenario::{Scenario, ScenarioKind};
 use crate::simulator::tunnel::Pace;
@@ -58,6 +60,9 @@ pub struct Arguments {
 /// How often a running emulator looks whether it is to stop.
 const LOOK: Duration = Duration::from_millis(50);
 
+/// Between two looks at the light, whose patterns change in eighths of a second.
+const GLANCE: Duration = Duration::from_millis(10);
+
 /// Gages of the firmware's image.
 const IMAGE_GAGES: usize = 8;
 
@@ -77,11 +82,11 @@ pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> 
 /// Serves the firmware's application, compiled for this machine.
 fn serve_board(arguments: &Arguments, scenario: &Scenario, streams: &mut Streams) -> Result<(), Failure> {
     let board = switched_on(scenario, arguments.seed, flash(arguments)?, arguments.rate)?;
-    let bench = board.bench();
+    let (bench, panel) = (board.bench(), board.panel());
     let mut board = board.into_board();
     let mut terminal = PseudoTerminal::open().context("no pseudo-terminal can be made")?;
     let _link = announce(arguments, scenario, &bench, terminal.path(), streams)?;
-    let stop = operate(bench)?;
+    let stop = operate(bench, panel)?;
     Ok(terminal.serve(board.as_mut(), &stop).context("the pseudo-terminal cannot be served")?)
 }
 
@@ -134,7 +139,7 @@ fn run_image(
             IMAGE_GAGES - 1
         )?;
     }
-    let stop = operate(bench)?;
+    let stop = operate(bench, emulator.panel())?;
     while !stop.load(Ordering::Relaxed) {
         thread::sleep(LOOK);
     }
@@ -176,21 +181,34 @@ fn announce(
     Ok(link)
 }
 
-/// Has what is typed carried out at the bench from now on. What is returned turns true when it says to stop, and when the
+/// Has what is typed carried out at the bench from now on, and says what the light shows. What is returned turns true when it says to stop, and when the
 /// process is told to end: QEMU and the link are to go with it.
-fn operate(bench: SharedBench) -> Result<Arc<AtomicBool>, Failure> {
+fn operate(bench: SharedBench, panel: SharedPanel) -> Result<Arc<AtomicBool>, Failure> {
     let stop = Arc::new(AtomicBool::new(false));
     let interrupted = Arc::clone(&stop);
     ctrlc::set_handler(move || interrupted.store(true, Ordering::Relaxed))
         .context("the end of the process cannot be waited for")?;
+    let watched = panel.clone();
+    thread::spawn(move || watch_light(&watched));
     let told_to_stop = Arc::clone(&stop);
     // Not waited for in the end: it may be waiting for a line that never comes.
-    thread::spawn(move || carry_out_lines(&bench, &told_to_stop));
+    thread::spawn(move || carry_out_lines(&bench, &panel, &told_to_stop));
     Ok(stop)
 }
 
+/// Says what the light shows, whenever that changes.
+fn watch_light(panel: &SharedPanel) {
+    let (mut watch, begin) = (LightWatch::default(), Instant::now());
+    loop {
+        if let Some(light) = watch.look(begin.elapsed(), panel.light()) {
+            eprintln!("light: {}", in_words(light));
+        }
+        thread::sleep(GLANCE);
+    }
+}
+
 /// Carries out what is typed. At the end of the input the board goes on being served.
-fn carry_out_lines(bench: &SharedBench, stop: &AtomicBool) {
+fn carry_out_lines(bench: &SharedBench, panel: &SharedPanel, stop: &AtomicBool) {
     for line in io::stdin().lock().lines() {
         let Ok(line) = line else { return };
         match line.trim() {
@@ -201,7 +219,7 @@ fn carry_out_lines(bench: &SharedBench, stop: &AtomicBool) {
             }
             "help" => eprintln!("{HELP}\nquit                        end the simulation"),
             line => match line.parse::<Order>() {
-                Ok(order) => bench.with(|bench| order.carry_out(bench)),
+                Ok(order) => order.carry_out(bench, panel),
                 Err(error) => eprintln!("{line}: {error}; type `help`"),
             },
         }
