@@ -42,7 +42,8 @@ fuzz_target!(|input: &[u8]| {
             let frames = match message {
                 ToHost::Codes(frame) => vec![Frame::Codes(frame)],
                 ToHost::Wrench(frame) => {
-                    let samples = WrenchSample::read(&frame, Some(KNOWN), Duration::ZERO, Duration::from_secs(1));
+                    let samples =
+                        WrenchSample::read(&frame, Some(KNOWN), Duration::ZERO, Duration::from_secs(1));
                     samples.into_iter().flatten().inspect(check).map(Frame::Wrench).collect()
                 }
                 ToHost::Hello(_) | ToHost::Response(..) => continue,

@@ -56,7 +56,7 @@ pub struct Tally {
 /// Streams from the sensor and gives each frame to `take` until the amount is reached, then ends the stream.
 ///
 /// Moments at which there is no conversion are given, too, and are no samples. Whoever waits for a number of samples waits no longer
-/// than [`SILENCE`] for the next.
+/// than two seconds for the next.
 ///
 /// # Errors
 ///
