@@ -1,4 +1,4 @@
-//! The tunnel: a converter's SPI bus and data-ready line, carried over a serial line.
+//! The tunnel: a converter's SPI bus and data-ready line, a flash, a button and a light, carried over a serial line.
 //!
 //! The emulator has no converter, so the emulated image takes its bus through a second serial line to a converter model
 //! on the host. What travels are whole chip-select frames, one question and one answer each, and the data-ready signal:
@@ -11,6 +11,8 @@
 //! | board | [`FromBoard::Handled`] | the board has caught up: what it makes of the last data-ready is on the host link's queue |
 //! | board | [`FromBoard::Flash`] | read, write or erase the flash, which the emulator has only for the image |
 //! | host | [`FromConverter::Flash`] | what was read; or that it is written or erased |
+//! | host | [`FromConverter::Button`] | the button was pressed, or released |
+//! | board | [`FromBoard::Light`] | the light went on, or off |
 //!
 //! Each message is framed as on the host link (`wire::frame`: postcard, CRC-32, byte stuffing), so a disturbed line loses
 //! messages but never alters one.
@@ -21,6 +23,7 @@
 //!   bears another number than the next question, and is dropped.
 //! - A question to the flash or its answer: the board asks again, [`FLASH_ATTEMPTS`] times. Writing or erasing twice does no harm.
 //! - A data-ready or the word that it was handled: the converter goes on by itself after [`UNHANDLED_MICROS`].
+//! - Button and light: the other end has them as they were until they change again.
 //!
 //! # Pace
 //!
@@ -113,6 +116,11 @@ pub enum FromBoard {
     Handled,
     /// What is asked of the flash.
     Flash(FlashQuestion),
+    /// The light is like this from now on; dark at the start.
+    Light {
+        /// Whether it is on.
+        is_lit: bool,
+    },
 }
 
 /// What the converter's end sends.
@@ -124,6 +132,11 @@ pub enum FromConverter {
     DataReady(DeviceTime),
     /// The answer to the question of the same number.
     Flash(FlashAnswer),
+    /// The button is like this from now on; released at the start.
+    Button {
+        /// Whether it is pressed.
+        is_pressed: bool,
+    },
 }
 
 /// What an SPI transaction sends, all its operations in a row; zeros during reads. `None` where it exceeds [`MAX_TRANSFER`].
@@ -187,6 +200,7 @@ mod tests {
             FromConverter::Transferred(transfer.clone()),
             FromConverter::Transferred(Transfer { number: 0, bytes: TransferBytes::new() }),
             FromConverter::DataReady(DeviceTime::from_micros(u64::MAX)),
+            FromConverter::Button { is_pressed: true },
         ];
         for message in from_converter {
             assert_eq!(carried(&message), message);
@@ -196,7 +210,8 @@ mod tests {
         assert_eq!(carried(&FromConverter::Flash(answer.clone())), FromConverter::Flash(answer));
         let action = FlashAction::Write { offset: u32::MAX, bytes };
         let question = FromBoard::Flash(FlashQuestion { number: 2, action });
-        for message in [FromBoard::Transfer(transfer), FromBoard::Handled, question] {
+        let light = FromBoard::Light { is_lit: true };
+        for message in [FromBoard::Transfer(transfer), FromBoard::Handled, question, light] {
             assert_eq!(carried(&message), message);
         }
     }

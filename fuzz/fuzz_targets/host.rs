@@ -23,7 +23,7 @@ use frame::{Frame, KnownCalibration, Measured, WrenchSample};
 const KNOWN: KnownCalibration = KnownCalibration { identity: 7, dof: Dof::PlanarForceTorque };
 
 fn check(sample: &WrenchSample) {
-    if let Measured::Valid(wrench) = sample.measured {
+    if let Measured::Valid(wrench) = sample.at_any_age() {
         assert_eq!((wrench.calibration(), wrench.components().len()), (KNOWN.identity, KNOWN.dof.count()));
         assert!(wrench.components().iter().all(|component| component.is_finite()));
     }
@@ -42,7 +42,8 @@ fuzz_target!(|input: &[u8]| {
             let frames = match message {
                 ToHost::Codes(frame) => vec![Frame::Codes(frame)],
                 ToHost::Wrench(frame) => {
-                    let samples = WrenchSample::read(&frame, Some(KNOWN), Duration::from_secs(1));
+                    let samples =
+                        WrenchSample::read(&frame, Some(KNOWN), Duration::ZERO, Duration::from_secs(1));
                     samples.into_iter().flatten().inspect(check).map(Frame::Wrench).collect()
                 }
                 ToHost::Hello(_) | ToHost::Response(..) => continue,

@@ -184,7 +184,7 @@ fn a_trial_is_run_and_solved_and_wrenches_are_measured() {
     }
     for _ in 0..100 {
         let Some(Frame::Wrench(sample)) = client.next_frame(PATIENCE).unwrap() else { panic!("no wrench") };
-        let Measured::Valid(wrench) = sample.measured else { panic!("{:?}", sample.measured) };
+        let Measured::Valid(wrench) = sample.at_any_age() else { panic!("{:?}", sample.at_any_age()) };
         assert_eq!(wrench.calibration(), upload.identity);
         for (row, component) in wrench.components().iter().enumerate() {
             let deviation = matrix.row(row).transpose().component_mul(noise).norm();

@@ -17,8 +17,8 @@
 //! | [`time_base`] | microseconds since the start |
 //! | [`link`] | bytes from and to the host |
 //! | `carrier` | the converter's bus and data-ready line |
-//! | `flash` | the sectors after the image; this file, the one before and its wiring are all in which the emulated image differs |
-//! | [`panel`] | button and light |
+//! | `flash` | the sectors after the image |
+//! | [`panel`] | button and light; this file, the two before and its wiring are all in which the emulated image differs |
 //! | [`failure`] | what happens after a panic or a fault of the processor |
 //! | [`reset`] | what the last reset came from |
 //! | [`stack`] | how much of the stack is in use, and what happens where it is too small |
@@ -27,7 +27,6 @@
 pub(crate) mod clocks;
 mod failure;
 pub(crate) mod link;
-pub(crate) mod panel;
 mod reset;
 mod stack;
 pub(crate) mod time_base;
@@ -43,6 +42,10 @@ mod carrier;
 #[cfg_attr(feature = "emulated", path = "tunnel_flash.rs")]
 #[cfg_attr(not(feature = "emulated"), path = "internal_flash.rs")]
 mod flash;
+
+/// Button and light.
+#[cfg_attr(feature = "emulated", path = "tunnel_panel.rs")]
+pub(crate) mod panel;
 
 pub(crate) use carrier::{Converter, DataReady, catch_up};
 pub(crate) use flash::Flash;

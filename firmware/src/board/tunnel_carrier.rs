@@ -52,6 +52,8 @@ struct Line {
     announced: Option<DeviceTime>,
     /// The other end has not heard yet that its announcement was handled.
     is_waited_for: bool,
+    /// The button at the other end.
+    is_pressed: bool,
     alarm: CounterMs<TIM5>,
 }
 
@@ -129,6 +131,17 @@ pub(crate) fn catch_up() {
         // Where this is lost, the converter goes on later.
         let _ = critical_section::with(|_| send(&FromBoard::Handled));
     }
+}
+
+/// Whether the button at the other end is pressed.
+pub(super) fn is_pressed() -> bool {
+    with_line(|line| line.is_pressed) == Some(true)
+}
+
+/// Has the light at the other end on or off; whether that was sent. Not to be called by whoever may interrupt the sample path, which
+/// may be in the middle of a frame.
+pub(super) fn show_light(is_lit: bool) -> bool {
+    critical_section::with(|_| send(&FromBoard::Light { is_lit })).is_ok()
 }
 
 /// Asks the flash at the other end. To be called from the background only, whose questions the sample path may interrupt, but not
@@ -219,6 +232,7 @@ pub(super) fn connect(
                 flash_answer: None,
                 announced: None,
                 is_waited_for: false,
+                is_pressed: false,
                 alarm,
             }),
         );
@@ -253,6 +267,7 @@ fn USART2() {
                 NVIC::pend(Interrupt::EXTI9_5);
             }
             Some(Ok(FromConverter::Flash(answer))) => line.flash_answer = Some(answer),
+            Some(Ok(FromConverter::Button { is_pressed })) => line.is_pressed = is_pressed,
             Some(Err(_)) | None => {}
         }
     });

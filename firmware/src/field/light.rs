@@ -21,6 +21,12 @@ use ftcal_shared::units::DeviceTime;
 /// A slot is 2¹⁷ µs, so that its number takes a shift and no division.
 const SLOT_BITS: u32 = 17;
 
+/// How long a slot is.
+pub const SLOT_MICROS: u64 = 1 << SLOT_BITS;
+
+/// How many slots a pattern has.
+pub const SLOTS: u32 = u16::BITS;
+
 /// What the light shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Light {
@@ -42,13 +48,26 @@ pub enum Light {
 }
 
 impl Light {
+    /// Everything that it shows.
+    pub const ALL: [Self; 9] = [
+        Self::Off,
+        Self::Working,
+        Self::Running { quarters: 0 },
+        Self::Running { quarters: 1 },
+        Self::Running { quarters: 2 },
+        Self::Running { quarters: 3 },
+        Self::Renewed,
+        Self::Confirmed,
+        Self::Refused,
+    ];
+
     /// Whether the light is on at this time.
     pub const fn is_on(self, now: DeviceTime) -> bool {
-        self.pattern() >> ((now.as_micros() >> SLOT_BITS) % u16::BITS as u64) & 1 != 0
+        self.pattern() >> ((now.as_micros() >> SLOT_BITS) % SLOTS as u64) & 1 != 0
     }
 
     /// The slots in which it is on: bit k for slot k.
-    const fn pattern(self) -> u16 {
+    pub const fn pattern(self) -> u16 {
         match self {
             Self::Off => 0,
             Self::Working => 0x00FF,
@@ -73,18 +92,6 @@ mod tests {
 
     use super::{Light, SLOT_BITS};
 
-    const ALL: [Light; 9] = [
-        Light::Off,
-        Light::Working,
-        Light::Running { quarters: 0 },
-        Light::Running { quarters: 1 },
-        Light::Running { quarters: 2 },
-        Light::Running { quarters: 3 },
-        Light::Renewed,
-        Light::Confirmed,
-        Light::Refused,
-    ];
-
     /// Slot by slot, from some time on.
     fn seen(light: Light, from_micros: u64) -> u16 {
         (0..16).fold(0, |seen, slot| {
@@ -103,14 +110,14 @@ mod tests {
                 slots.fold(0, |pattern, (slot, mark)| pattern | u16::from(mark == b'#') << slot)
             })
             .collect();
-        assert_eq!(patterns, ALL.map(|light| seen(light, 0)));
+        assert_eq!(patterns, Light::ALL.map(|light| seen(light, 0)));
     }
 
     /// Nobody knows where a pattern begins.
     #[test]
     fn no_pattern_is_another_one_begun_later() {
-        for (position, &one) in ALL.iter().enumerate() {
-            for &other in &ALL[position + 1..] {
+        for (position, &one) in Light::ALL.iter().enumerate() {
+            for &other in &Light::ALL[position + 1..] {
                 for later in 0..16 {
                     assert_ne!(seen(one, 0).rotate_left(later), seen(other, 0), "{one:?} {other:?}");
                 }
@@ -121,7 +128,7 @@ mod tests {
     /// It goes on evenly at any time, however late.
     #[test]
     fn a_pattern_repeats() {
-        for light in ALL {
+        for light in Light::ALL {
             for from in [0, 1, u64::from(u32::MAX), 1 << 60] {
                 let from = from >> (SLOT_BITS + 4) << (SLOT_BITS + 4);
                 assert_eq!(seen(light, from), seen(light, 0));

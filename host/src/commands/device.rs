@@ -85,7 +85,10 @@ impl From<ClientError> for Failure {
             ClientError::Rejected(_)
             | ClientError::Refused(_)
             | ClientError::Converter(_)
-            | ClientError::ConverterNotStarting { .. } => Self::Refused(explained),
+            | ClientError::ConverterNotStarting { .. }
+            | ClientError::Restarted(_)
+            | ClientError::StreamAbandoned
+            | ClientError::NoSamples { .. } => Self::Refused(explained),
         }
     }
 }

@@ -222,12 +222,14 @@ fn uploaded_and_streamed_wrenches_are_the_truth_or_empty() {
     let outcome = ftcal(&board, &["stream", "--seconds", "0.2"]);
     assert!(outcome.has_code(0), "{}", outcome.words);
     let mut lines = outcome.data.lines();
-    assert_eq!(lines.next(), Some("t_s,fx_n,fy_n,tz_nm"));
+    assert_eq!(lines.next(), Some("t_s,fx_n,fy_n,tz_nm,parity_chi2,status"));
     let truth = board.bench.with(|bench| bench.true_wrench()).components(calibration.dof);
     let noise = board.bench.with(|bench| bench.sensor().noise_counts().max());
     let mut samples = 0;
     for line in lines {
-        let numbers: Vec<f64> = line.split(',').map(|field| field.parse().expect("a number")).collect();
+        let fields: Vec<&str> = line.split(',').collect();
+        assert_eq!(fields.len(), 6, "{line}");
+        let numbers: Vec<f64> = fields.iter().take(4).map(|field| field.parse().expect("a number")).collect();
         for (axis, row) in calibration.matrix.row_iter().enumerate() {
             // Eight standard deviations of the noise, and single precision.
             let bound = 8.0 * noise * row.norm() + 1e-5 * truth.amax();
@@ -241,7 +243,7 @@ fn uploaded_and_streamed_wrenches_are_the_truth_or_empty() {
     pass(&board, 50);
     let outcome = ftcal(&board, &["stream", "--samples", "5"]);
     for line in outcome.data.lines().skip(1) {
-        assert!(line.ends_with(",,,"), "{line}");
+        assert!(line.contains(",,,,") && line.contains("saturated"), "{line}");
     }
     assert_eq!(
         outcome.words.matches("ch2 at the end of the converter's range").count(),
@@ -252,9 +254,48 @@ fn uploaded_and_streamed_wrenches_are_the_truth_or_empty() {
     assert!(outcome.words.contains("5 of them no wrench"), "{}", outcome.words);
 
     board.bench.with(|bench| bench.inject(Fault::ConverterMissing));
-    let outcome = ftcal(&board, &["stream", "--samples", "200"]);
-    assert!(outcome.has_code(0), "{}", outcome.words);
-    assert!(outcome.words.contains("no converter answers"), "{}", outcome.words);
+    // Moments at which there is none are no samples: two seconds of them, and no more is to be waited for.
+    let outcome = ftcal(&board, &["stream", "--samples", "1000"]);
+    assert!(outcome.has_code(3), "{}", outcome.words);
+    assert!(outcome.words.contains("no wrench: no converter answers"), "{}", outcome.words);
+    assert!(outcome.words.contains("converter-fault"), "{}", outcome.words);
+    let outcome = ftcal(&board, &["stream", "--seconds", "2.5"]);
+    assert!(outcome.has_code(0) && outcome.words.contains("0 samples, 0 of them"), "{}", outcome.words);
+}
+
+#[test]
+fn a_stream_says_its_rate_and_what_the_sensor_says_of_itself() {
+    let board = ServedBoard::new(ScenarioKind::Wrist);
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("calibration.json");
+    true_calibration(&board, &path);
+    assert!(ftcal(&board, &["upload", &path.display().to_string()]).has_code(0));
+    assert!(ftcal(&board, &["settings", "--rate", "2000"]).has_code(0));
+
+    let filtered = ftcal(&board, &["stream", "--samples", "10", "--output-rate", "250"]);
+    assert!(filtered.words.contains("250 samples/s of 2000 conversions/s"), "{}", filtered.words);
+    assert!(filtered.words.contains("comes 23.5 ms later"), "{}", filtered.words);
+    let never = ["stream", "--samples", "10", "--output-rate", "250", "--max-age-ms", "23"];
+    assert!(ftcal(&board, &never).has_code(2), "the filter takes longer");
+
+    // The rate that was asked for is gone with the stream.
+    let all = ftcal(&board, &["stream", "--samples", "10"]);
+    assert!(all.words.contains("2000 samples/s: every conversion"), "{}", all.words);
+    let times: Vec<f64> = all
+        .data
+        .lines()
+        .skip(1)
+        .map(|line| line.split(',').next().and_then(|time| time.parse().ok()).expect("a time"))
+        .collect();
+    assert_eq!(times, [0.0, 0.0005, 0.001, 0.0015, 0.002, 0.0025, 0.003, 0.0035, 0.004, 0.0045]);
+
+    assert!(ftcal(&board, &["health", "--without", "3"]).has_code(0));
+    let outcome = ftcal(&board, &["stream", "--samples", "10"]);
+    for line in outcome.data.lines().skip(1) {
+        assert!(line.rsplit(',').next().is_some_and(|status| status.contains("carry-on")), "{line}");
+    }
+    let told = outcome.words.matches("carry-on: measuring without one gage").count();
+    assert_eq!(told, 1, "{}", outcome.words);
 }
 
 #[test]

@@ -4,24 +4,28 @@ use std::io::BufRead;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use std::{io, thread};
 
 use anyhow::{Context, anyhow};
 use clap::Args;
-use ftcal_shared::units::{DataRate, Gain};
+use ftcal_firmware::storage::memory::Memory;
+use ftcal_shared::units::DataRate;
 use ftcal_shared::wire::frame::encode;
 use ftcal_shared::wire::{Request, ToDevice};
 
 use super::record::data_rate;
 use super::{Failure, Streams};
+use crate::link::transport::Transport;
 use crate::recording::shown;
 use crate::simulator::bench::Bench;
 use crate::simulator::board::SimulatedBoard;
 use crate::simulator::bus::SharedBench;
 use crate::simulator::emulator::Emulator;
 use crate::simulator::flash::SimulatedFlash;
+use crate::simulator::light::{LightWatch, in_words};
 use crate::simulator::operator::{HELP, Order, turn};
+use crate::simulator::panel::SharedPanel;
 use crate::simulator::pseudo_terminal::{PortLink, PseudoTerminal};
 use crate::simulator::scenario::{Scenario, ScenarioKind};
 use crate::simulator::tunnel::Pace;
@@ -35,9 +39,10 @@ pub struct Arguments {
     /// Seed of everything random
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Data rate at the start, samples per second: 250, 500, 1000, 2000, 4000, 8000, 16000 or 32000
-    #[arg(long, value_name = "HZ", default_value = "1000", value_parser = data_rate)]
-    rate: DataRate,
+    /// Data rate at the start, samples per second: 250, 500, 1000, 2000, 4000, 8000, 16000 or 32000; without it, that which its
+    /// memory keeps, and 1000 where it keeps none
+    #[arg(long, value_name = "HZ", value_parser = data_rate)]
+    rate: Option<DataRate>,
     /// Make a symbolic link to the port here
     #[arg(long, value_name = "PATH")]
     link: Option<PathBuf>,
@@ -54,6 +59,9 @@ pub struct Arguments {
 
 /// How often a running emulator looks whether it is to stop.
 const LOOK: Duration = Duration::from_millis(50);
+
+/// Between two looks at the light, whose patterns change in eighths of a second.
+const GLANCE: Duration = Duration::from_millis(10);
 
 /// Gages of the firmware's image.
 const IMAGE_GAGES: usize = 8;
@@ -73,16 +81,31 @@ pub fn run(arguments: &Arguments, streams: &mut Streams) -> Result<(), Failure> 
 
 /// Serves the firmware's application, compiled for this machine.
 fn serve_board(arguments: &Arguments, scenario: &Scenario, streams: &mut Streams) -> Result<(), Failure> {
-    let board = SimulatedBoard::with_flash(scenario.sensor.clone(), arguments.seed, flash(arguments)?)
-        .map_err(Failure::input)?;
-    let bench = board.bench();
+    let board = switched_on(scenario, arguments.seed, flash(arguments)?, arguments.rate)?;
+    let (bench, panel) = (board.bench(), board.panel());
     let mut board = board.into_board();
-    let configure = ToDevice::Request(0, Request::ConfigureAdc(arguments.rate, Gain::default()));
-    board.receive(&encode(&configure).map_err(|_| anyhow!("the request does not fit into a frame"))?);
     let mut terminal = PseudoTerminal::open().context("no pseudo-terminal can be made")?;
     let _link = announce(arguments, scenario, &bench, terminal.path(), streams)?;
-    let stop = operate(bench)?;
+    let stop = operate(bench, panel)?;
     Ok(terminal.serve(board.as_mut(), &stop).context("the pseudo-terminal cannot be served")?)
+}
+
+/// A board with this flash, which is switched on and told to go at this rate, if at any; all else is as the flash keeps it.
+fn switched_on(
+    scenario: &Scenario,
+    seed: u64,
+    flash: SimulatedFlash,
+    rate: Option<DataRate>,
+) -> Result<SimulatedBoard, Failure> {
+    let kept = Memory::new(flash.clone()).read().ok().and_then(|kept| kept.settings).unwrap_or_default();
+    let mut board =
+        SimulatedBoard::with_flash(scenario.sensor.clone(), seed, flash).map_err(Failure::input)?;
+    if let Some(rate) = rate {
+        let configure = ToDevice::Request(0, Request::ConfigureAdc(rate, kept.gain));
+        let frame = encode(&configure).map_err(|_| anyhow!("the request does not fit into a frame"))?;
+        board.write(&frame).context("the simulated line takes no bytes")?;
+    }
+    Ok(board)
 }
 
 /// The flash in the file, or one that is as new.
@@ -116,7 +139,7 @@ fn run_image(
             IMAGE_GAGES - 1
         )?;
     }
-    let stop = operate(bench)?;
+    let stop = operate(bench, emulator.panel())?;
     while !stop.load(Ordering::Relaxed) {
         thread::sleep(LOOK);
     }
@@ -158,21 +181,34 @@ fn announce(
     Ok(link)
 }
 
-/// Has what is typed carried out at the bench from now on. What is returned turns true when it says to stop, and when the
+/// Has what is typed carried out at the bench from now on, and says what the light shows. What is returned turns true when it says to stop, and when the
 /// process is told to end: QEMU and the link are to go with it.
-fn operate(bench: SharedBench) -> Result<Arc<AtomicBool>, Failure> {
+fn operate(bench: SharedBench, panel: SharedPanel) -> Result<Arc<AtomicBool>, Failure> {
     let stop = Arc::new(AtomicBool::new(false));
     let interrupted = Arc::clone(&stop);
     ctrlc::set_handler(move || interrupted.store(true, Ordering::Relaxed))
         .context("the end of the process cannot be waited for")?;
+    let watched = panel.clone();
+    thread::spawn(move || watch_light(&watched));
     let told_to_stop = Arc::clone(&stop);
     // Not waited for in the end: it may be waiting for a line that never comes.
-    thread::spawn(move || carry_out_lines(&bench, &told_to_stop));
+    thread::spawn(move || carry_out_lines(&bench, &panel, &told_to_stop));
     Ok(stop)
 }
 
+/// Says what the light shows, whenever that changes.
+fn watch_light(panel: &SharedPanel) {
+    let (mut watch, begin) = (LightWatch::default(), Instant::now());
+    loop {
+        if let Some(light) = watch.look(begin.elapsed(), panel.light()) {
+            eprintln!("light: {}", in_words(light));
+        }
+        thread::sleep(GLANCE);
+    }
+}
+
 /// Carries out what is typed. At the end of the input the board goes on being served.
-fn carry_out_lines(bench: &SharedBench, stop: &AtomicBool) {
+fn carry_out_lines(bench: &SharedBench, panel: &SharedPanel, stop: &AtomicBool) {
     for line in io::stdin().lock().lines() {
         let Ok(line) = line else { return };
         match line.trim() {
@@ -183,9 +219,38 @@ fn carry_out_lines(bench: &SharedBench, stop: &AtomicBool) {
             }
             "help" => eprintln!("{HELP}\nquit                        end the simulation"),
             line => match line.parse::<Order>() {
-                Ok(order) => bench.with(|bench| order.carry_out(bench)),
+                Ok(order) => order.carry_out(bench, panel),
                 Err(error) => eprintln!("{line}: {error}; type `help`"),
             },
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ftcal_shared::units::{DataRate, Gain};
+
+    use super::{Scenario, ScenarioKind, SimulatedFlash, switched_on};
+    use crate::link::client::Client;
+    use crate::simulator::board::SimulatedBoard;
+
+    #[test]
+    fn what_the_flash_keeps_holds_unless_a_rate_is_asked_for() {
+        let scenario = Scenario::new(ScenarioKind::Force, 1).expect("sizes fit");
+        let flash = SimulatedFlash::default();
+        let on = |rate| -> Client<SimulatedBoard> {
+            let board = switched_on(&scenario, 1, flash.clone(), rate).expect("sizes fit");
+            Client::connect(board).expect("answers")
+        };
+        let set = |client: &mut Client<SimulatedBoard>| {
+            let status = client.wait_for_converter().expect("the converter starts");
+            (status.data_rate, status.gain)
+        };
+        let mut client = on(None);
+        assert_eq!(set(&mut client), (DataRate::Hz1000, Gain::X128));
+        client.configure_adc(DataRate::Hz500, Gain::X64).expect("the converter starts");
+        client.store_settings().expect("stores");
+        assert_eq!(set(&mut on(None)), (DataRate::Hz500, Gain::X64));
+        assert_eq!(set(&mut on(Some(DataRate::Hz2000))), (DataRate::Hz2000, Gain::X64));
     }
 }

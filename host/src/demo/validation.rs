@@ -94,7 +94,7 @@ fn streamed_mean(stage: &mut Stage, components: usize) -> Result<DVector<f64>, D
     let mut samples = 0;
     while samples < SAMPLES {
         let Frame::Wrench(sample) = next_frame(&mut stage.client)? else { continue };
-        match sample.measured {
+        match sample.at_any_age() {
             Measured::Valid(wrench) => {
                 let wrench = wrench.components().iter().map(|&value| f64::from(value));
                 sum += DVector::from_iterator(components, wrench);

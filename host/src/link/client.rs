@@ -59,8 +59,8 @@ impl<Line: Transport> Client<Line> {
         self.conversation.line()
     }
 
-    /// Samples that are missing between those that came, since the stream was started last: lost by the converter, by the
-    /// sensor or on the line.
+    /// Samples that are missing between those that were taken, since the stream was started last: lost by the converter, by the
+    /// sensor or on the line, or dropped because nobody took them in time.
     pub const fn lost_samples(&self) -> u64 {
         self.conversation.lost_samples()
     }
@@ -142,6 +142,8 @@ impl<Line: Transport> Client<Line> {
     /// [`ClientError::Converter`] and [`ClientError::ConverterNotStarting`]; [`ClientError`].
     pub fn configure_adc(&mut self, data_rate: DataRate, gain: Gain) -> Result<Status, ClientError> {
         self.request_done(Request::ConfigureAdc(data_rate, gain))?;
+        // What the filter delays a wrench is now another time.
+        self.output()?;
         self.wait_for_converter()
     }
 
@@ -176,8 +178,9 @@ impl<Line: Transport> Client<Line> {
     /// [`ClientError`].
     pub fn stream(&mut self, kind: StreamKind) -> Result<(), ClientError> {
         if kind == StreamKind::Wrench {
-            // So that the wrenches can be read.
+            // So that the wrenches can be read, and their age is known.
             self.read_calibration()?;
+            self.output()?;
         }
         self.request_done(Request::Stream(kind))
     }
@@ -306,7 +309,10 @@ impl<Line: Transport> Client<Line> {
 
     fn request_output(&mut self, decimation: Option<Decimation>) -> Result<Output, ClientError> {
         match self.conversation.request(Request::Output(decimation), ANSWER)? {
-            Response::Output(output) => Ok(output),
+            Response::Output(output) => {
+                self.conversation.know_filter_delay(filter_delay(output));
+                Ok(output)
+            }
             _ => Err(LinkError::UnexpectedResponse.into()),
         }
     }
@@ -339,6 +345,11 @@ impl<Line: Transport> Client<Line> {
             _ => Err(LinkError::UnexpectedResponse.into()),
         }
     }
+}
+
+/// What the sensor's filter delays each wrench.
+pub fn filter_delay(output: Output) -> Duration {
+    Duration::from_secs(output.group_delay_conversions.into()) / output.data_rate.hertz()
 }
 
 mod memory;

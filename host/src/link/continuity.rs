@@ -9,14 +9,14 @@ use ftcal_shared::units::SampleIndex;
 
 /// Follows the numbers of a stream.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Continuity {
+pub(super) struct Continuity {
     expected: Option<SampleIndex>,
 }
 
 impl Continuity {
     /// Takes note of the next sample, whose number is `stride` before that of the sample after it; answers how many
     /// samples are missing before it. A stride of zero says that this is no sample.
-    pub fn missing_before(&mut self, index: SampleIndex, stride: u8) -> u32 {
+    pub(super) fn missing_before(&mut self, index: SampleIndex, stride: u8) -> u32 {
         let stride = u32::from(stride);
         if stride == 0 {
             return 0;

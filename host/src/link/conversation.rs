@@ -62,6 +62,8 @@ pub(super) struct Conversation<Line: Transport> {
     received_bytes: u64,
     broken_frames: u64,
     calibration: Option<KnownCalibration>,
+    /// What the sensor's filter delays each wrench.
+    filter_delay: Duration,
 }
 
 /// What the conversation waits for.
@@ -98,6 +100,7 @@ impl<Line: Transport> Conversation<Line> {
             received_bytes: 0,
             broken_frames: 0,
             calibration: None,
+            filter_delay: Duration::ZERO,
         }
     }
 
@@ -106,7 +109,7 @@ impl<Line: Transport> Conversation<Line> {
         &self.line
     }
 
-    /// Samples that are missing between those that came.
+    /// Samples that are missing between those that were taken.
     pub(super) const fn lost_samples(&self) -> u64 {
         self.lost_samples
     }
@@ -129,6 +132,11 @@ impl<Line: Transport> Conversation<Line> {
     /// Wrenches are made with this calibration.
     pub(super) const fn know(&mut self, calibration: Option<KnownCalibration>) {
         self.calibration = calibration;
+    }
+
+    /// Wrenches have come through a filter that delays them so much.
+    pub(super) const fn know_filter_delay(&mut self, delay: Duration) {
+        self.filter_delay = delay;
     }
 
     /// Who are you?
@@ -197,7 +205,12 @@ impl<Line: Transport> Conversation<Line> {
             let deadline = self.line.elapsed() + within;
             self.wait_until(Awaited::Frame, deadline)?;
         }
-        Ok(self.frames.pop_front())
+        let frame = self.frames.pop_front();
+        if let Some(frame) = &frame {
+            let (index, stride) = frame.place();
+            self.lost_samples += u64::from(self.continuity.missing_before(index, stride));
+        }
+        Ok(frame)
     }
 
     /// Lets time pass; samples that come meanwhile are kept.
@@ -306,7 +319,7 @@ impl<Line: Transport> Conversation<Line> {
                 until = until.min(self.last_sent + SIGN_OF_LIFE);
             }
             self.received.clear();
-            self.line.read(&mut self.received, until)?;
+            let came = self.line.read(&mut self.received, until)?;
             self.received_bytes += self.received.len() as u64;
             let mut arrived = None;
             for position in 0..self.received.len() {
@@ -314,17 +327,20 @@ impl<Line: Transport> Conversation<Line> {
                 match self.decoder.push::<ToHost>(byte) {
                     None => {}
                     Some(Err(_)) => self.broken_frames += 1,
-                    Some(Ok(message)) => arrived = self.take_in(message, awaited).or(arrived),
+                    Some(Ok(message)) => arrived = self.take_in(message, came, awaited).or(arrived),
                 }
             }
-            if arrived.is_some() || self.line.elapsed() >= deadline {
+            // What has come by the deadline is looked through, however much it is.
+            let is_over = self.received.is_empty() && self.line.elapsed() >= deadline;
+            if arrived.is_some() || is_over {
                 return Ok(arrived);
             }
         }
     }
 
-    /// Sorts one message: samples are kept, what is awaited is returned, and late responses are dropped.
-    fn take_in(&mut self, message: ToHost, awaited: Awaited) -> Option<Arrived> {
+    /// Sorts one message, whose last byte came at this time: samples are kept, what is awaited is returned, and late responses are
+    /// dropped.
+    fn take_in(&mut self, message: ToHost, came: Duration, awaited: Awaited) -> Option<Arrived> {
         match message {
             ToHost::Hello(hello) => return (awaited == Awaited::Hello).then_some(Arrived::Hello(hello)),
             ToHost::Response(id, response) => {
@@ -338,7 +354,8 @@ impl<Line: Transport> Conversation<Line> {
             }
             ToHost::Codes(frame) if self.streaming == StreamKind::Codes => self.keep(Frame::Codes(frame)),
             ToHost::Wrench(frame) if self.streaming == StreamKind::Wrench => {
-                let Some(samples) = WrenchSample::read(&frame, self.calibration, self.line.elapsed()) else {
+                let read = WrenchSample::read(&frame, self.calibration, self.filter_delay, came);
+                let Some(samples) = read else {
                     self.broken_frames += 1;
                     return None;
                 };
@@ -362,8 +379,6 @@ impl<Line: Transport> Conversation<Line> {
     }
 
     fn keep(&mut self, frame: Frame) {
-        let (index, stride) = frame.place();
-        self.lost_samples += u64::from(self.continuity.missing_before(index, stride));
         if self.frames.len() == KEPT_SAMPLES {
             self.frames.pop_front();
             self.dropped_samples += 1;

@@ -6,7 +6,7 @@
 
 use ftcal_shared::fault::AdcFault;
 use ftcal_shared::refusal::Refusal;
-use ftcal_shared::wire::{PROTOCOL_VERSION, Rejection};
+use ftcal_shared::wire::{Diagnosis, PROTOCOL_VERSION, Rejection};
 use thiserror::Error;
 
 use super::transport::TransportError;
@@ -33,6 +33,18 @@ pub enum ClientError {
     ConverterNotStarting {
         /// How long was waited, seconds.
         seconds: f64,
+    },
+    /// The sensor has started anew in the middle of a stream.
+    #[error("the sensor has restarted in the middle of the stream: {}", words::restart(.0))]
+    Restarted(Diagnosis),
+    /// The sensor has ended the stream.
+    #[error("the sensor has ended the stream, because it has heard nothing from this program for seconds")]
+    StreamAbandoned,
+    /// The sensor streams, and no sample comes.
+    #[error("the sensor answers, but no sample came for {seconds} s")]
+    NoSamples {
+        /// How long was waited, seconds.
+        seconds: u64,
     },
 }
 

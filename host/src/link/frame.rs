@@ -3,12 +3,14 @@
 //! The sensor sends up to six numbers and the identity of the calibration that made them. Here they get their axes, so
 //! that no number can be taken for another, and whatever is not a wrench (uncalibrated, saturated, converter at fault,
 //! made by a calibration that the host does not know) is not a number at all: to read a wrench one has to say what to do
-//! without one. Whoever needs fresh wrenches says how old they may be ([`WrenchSample::within`]); an older one is none.
+//! without one. Nobody gets at a wrench but by how old it may be ([`WrenchSample::within`]; an older one is none), or by saying
+//! that its age does not matter ([`WrenchSample::at_any_age`]).
 
 use std::time::Duration;
 
 use ftcal_shared::fault::AdcFault;
 use ftcal_shared::units::{Axis, DeviceTime, Dof, MAX_DOF, SampleIndex};
+use ftcal_shared::wire::health::StatusWord;
 use ftcal_shared::wire::{CodesFrame, InvalidCause, Run, WrenchFrame};
 
 /// What a sensor sends unasked.
@@ -47,16 +49,16 @@ pub struct WrenchSample {
     pub stride: u8,
     /// When it was taken, by the sensor's clock.
     pub time: DeviceTime,
-    /// When it was complete, by the clock of the line that it came over; the line's own delay is not in it.
-    pub complete: Duration,
-    /// The low 16 bits of the sensor's status word.
-    pub status: u16,
+    /// When it was taken, by the clock of the line that it came over: before the sensor's filter delayed it, and before it waited for
+    /// others of its frame. The line's own delay is not told from it.
+    pub taken: Duration,
+    /// The lower half of the sensor's status word.
+    pub status: StatusWord,
     /// The largest χ² of the parity channels among the samples of its frame.
     pub parity: Option<f32>,
     /// The sensor's temperature, where it measures that.
     pub temperature_celsius: Option<f32>,
-    /// The wrench, or why there is none.
-    pub measured: Measured,
+    measured: Measured,
 }
 
 /// A wrench, or why there is none.
@@ -149,21 +151,27 @@ impl From<InvalidCause> for NoWrench {
 }
 
 impl WrenchSample {
-    /// The wrench, where at this time of the line's clock it is no older than this.
+    /// The wrench, where at this time of the line's clock it is no older than this. In its age is what the sensor's filter delays it.
     pub fn within(&self, oldest: Duration, now: Duration) -> Measured {
         match self.measured {
-            Measured::Valid(_) if now.saturating_sub(self.complete) > oldest => {
+            Measured::Valid(_) if now.saturating_sub(self.taken) > oldest => {
                 Measured::Invalid(NoWrench::Stale)
             }
             measured => measured,
         }
     }
 
-    /// Reads a frame that came at this time of the line's clock, with what is known of the sensor's calibration; `None`
-    /// where its bytes are no wrenches.
+    /// The wrench, however old it is: for means and records, not for whoever acts on it.
+    pub const fn at_any_age(&self) -> Measured {
+        self.measured
+    }
+
+    /// Reads a frame that came at this time of the line's clock, with what is known of the sensor's calibration and of what its
+    /// filter delays each sample; `None` where its bytes are no wrenches.
     pub(super) fn read(
         frame: &WrenchFrame,
         known: Option<KnownCalibration>,
+        filter_delay: Duration,
         arrived: Duration,
     ) -> Option<Vec<Self>> {
         let measured = measured(&frame.run, known)?;
@@ -183,8 +191,8 @@ impl WrenchSample {
                 index: SampleIndex::new(frame.first.get().wrapping_add(step * u32::from(frame.stride))),
                 stride: if is_silence { 0 } else { frame.stride },
                 time: DeviceTime::from_micros(frame.time.as_micros().saturating_add(into_run)),
-                complete: arrived.saturating_sub(Duration::from_micros(age)),
-                status: frame.status,
+                taken: arrived.saturating_sub(Duration::from_micros(age) + filter_delay),
+                status: StatusWord::from_bits(frame.status.into()),
                 parity,
                 temperature_celsius: frame
                     .temperature_centi_celsius
@@ -220,11 +228,13 @@ mod tests {
     use std::time::Duration;
 
     use ftcal_shared::units::{Axis, DeviceTime, Dof, MAX_DOF, SampleIndex};
+    use ftcal_shared::wire::health::StatusWord;
     use ftcal_shared::wire::{InvalidCause, PackedWrenches, Run, WrenchFrame};
 
     use super::{KnownCalibration, Measured, NoWrench, WrenchSample};
 
     const KNOWN: KnownCalibration = KnownCalibration { identity: 7, dof: Dof::PlanarForceTorque };
+    const FILTER_DELAY: Duration = Duration::from_micros(700);
     const ARRIVED: Duration = Duration::from_secs(2);
 
     fn read(run: Run) -> Vec<WrenchSample> {
@@ -238,7 +248,7 @@ mod tests {
             temperature_centi_celsius: Some(-250),
             run,
         };
-        WrenchSample::read(&frame, Some(KNOWN), ARRIVED).expect("it is whole")
+        WrenchSample::read(&frame, Some(KNOWN), FILTER_DELAY, ARRIVED).expect("it is whole")
     }
 
     fn valid(calibration: u32, wrenches: &[[f32; MAX_DOF]]) -> Run {
@@ -266,9 +276,10 @@ mod tests {
         for (step, sample) in (0_u32..).zip(&samples) {
             assert_eq!(sample.index.since(SampleIndex::new(u32::MAX)), 4 * step);
             assert!(sample.time.as_micros().abs_diff(1000 + u64::from(625 * step) / 10) <= 1);
-            let age = ARRIVED.saturating_sub(sample.complete).as_micros();
-            assert_eq!(age + u128::from(sample.time.as_micros()), 90 + 1250);
-            assert_eq!((sample.status, sample.parity, sample.stride), (0b101, Some(9.5), 4));
+            let age = ARRIVED.saturating_sub(sample.taken).as_micros();
+            assert_eq!(age + u128::from(sample.time.as_micros()), 700 + 90 + 1250);
+            let status = StatusWord::from_bits(0b101);
+            assert_eq!((sample.status, sample.parity, sample.stride), (status, Some(9.5), 4));
             assert_eq!(sample.temperature_celsius, Some(-2.5));
         }
         assert_eq!((samples.len(), samples[4].time.as_micros()), (5, 1250));
@@ -301,7 +312,7 @@ mod tests {
     fn a_wrench_that_is_too_old_is_none() {
         let samples = read(valid(7, &[WRENCH]));
         let (sample, oldest) = (samples[0], Duration::from_millis(3));
-        let last = sample.complete + oldest;
+        let last = sample.taken + oldest;
         assert!(matches!(sample.within(oldest, last), Measured::Valid(_)));
         let just_after = last + Duration::from_nanos(1);
         assert_eq!(sample.within(oldest, just_after), Measured::Invalid(NoWrench::Stale));

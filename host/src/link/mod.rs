@@ -7,7 +7,7 @@
 //! | [`client`] | what a sensor can be asked |
 //! | `conversation` | requests with their responses, whatever is lost, and the stream between them |
 //! | [`frame`] | samples as the host sees them: a wrench that is not there cannot be read as a number |
-//! | [`continuity`] | what is missing between samples |
+//! | `continuity` | what is missing between samples |
 //! | [`error`] | what can go wrong, the link's troubles apart from the sensor's own |
 //! | [`words`] | what a sensor reports, in words |
 //! | [`health_words`] | the same of its health: status word, tare, self-test |
@@ -15,7 +15,7 @@
 //! | [`remedy`] | what to do about each error |
 
 pub mod client;
-pub mod continuity;
+mod continuity;
 mod conversation;
 pub mod error;
 pub mod field_words;

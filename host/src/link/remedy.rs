@@ -23,6 +23,17 @@ pub fn of_client(error: &ClientError) -> Explained {
             "converter-silent",
             "Look at `ftcal info`; if it names no fault, switch the sensor off and on again.",
         ),
+        ClientError::Restarted(_) => (
+            "sensor-restarted",
+            "Start again; where it happens again, check the sensor's supply and its plugs, and report what `ftcal info` says of \
+             the last reset.",
+        ),
+        ClientError::StreamAbandoned => {
+            ("stream-abandoned", "Have the output read faster, or written to a file.")
+        }
+        ClientError::NoSamples { .. } => {
+            ("no-samples", "Try again; lower the data rate if it happens again.")
+        }
     };
     Explained { cause, detail: error.to_string(), remedy }
 }

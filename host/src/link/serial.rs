@@ -2,8 +2,9 @@
 //!
 //! A read on a serial port can outlast its time-out: some drivers do not honour it, and a port that is pulled out in the middle of
 //! a read may never come back. Nobody waits for the port here but a thread of its own. It passes on what it reads through a channel,
-//! and the client waits on the channel, whose deadline holds whatever the port does. When the port fails, the thread
-//! passes that on and ends; everything read before comes first.
+//! and the client waits on the channel, whose deadline holds whatever the port does. Each piece bears the time at which it came, so that
+//! nothing is taken for new because the client was late to look. When the port fails, the thread passes that on and ends;
+//! everything read before comes first.
 
 use std::io::{self, Read, Write};
 use std::path::Path;
@@ -76,10 +77,13 @@ impl OpenError {
     }
 }
 
+/// What the port had to read at one time, or that it failed.
+type Piece = io::Result<(Instant, Vec<u8>)>;
+
 /// An open serial port.
 pub struct SerialTransport {
     port: Box<dyn SerialPort>,
-    received: Receiver<io::Result<Vec<u8>>>,
+    received: Receiver<Piece>,
     closing: Arc<AtomicBool>,
     opened: Instant,
 }
@@ -104,8 +108,9 @@ impl SerialTransport {
         let closing = Arc::new(AtomicBool::new(false));
         let (sender, received) = sync_channel(CHUNKS);
         let told_to_close = Arc::clone(&closing);
+        let opened = Instant::now();
         thread::spawn(move || pass_on(reader, &sender, &told_to_close));
-        Ok(Self { port, received, closing, opened: Instant::now() })
+        Ok(Self { port, received, closing, opened })
     }
 }
 
@@ -127,12 +132,12 @@ fn open_locked(builder: &serialport::SerialPortBuilder) -> serialport::Result<Bo
 }
 
 /// The reader thread.
-fn pass_on(mut port: Box<dyn SerialPort>, sender: &SyncSender<io::Result<Vec<u8>>>, closing: &AtomicBool) {
+fn pass_on(mut port: Box<dyn SerialPort>, sender: &SyncSender<Piece>, closing: &AtomicBool) {
     let mut chunk = [0; CHUNK];
     while !closing.load(Ordering::Relaxed) {
         let passed = match port.read(&mut chunk) {
             Ok(0) => Err(io::ErrorKind::UnexpectedEof.into()),
-            Ok(length) => Ok(chunk.iter().take(length).copied().collect()),
+            Ok(length) => Ok((Instant::now(), chunk.iter().take(length).copied().collect())),
             Err(error) if matches!(error.kind(), io::ErrorKind::TimedOut | io::ErrorKind::Interrupted) => {
                 continue;
             }
@@ -167,20 +172,15 @@ impl Transport for SerialTransport {
         Ok(())
     }
 
-    fn read(&mut self, received: &mut Vec<u8>, deadline: Duration) -> Result<(), TransportError> {
-        let before = received.len();
-        let mut wait = deadline.saturating_sub(self.elapsed());
-        loop {
-            match self.received.recv_timeout(wait) {
-                Ok(Ok(bytes)) => received.extend_from_slice(&bytes),
-                Ok(Err(error)) if received.len() == before => return Err(failure(error)),
-                Err(RecvTimeoutError::Disconnected) if received.len() == before => {
-                    return Err(TransportError::Vanished);
-                }
-                Ok(Err(_)) | Err(_) => return Ok(()),
+    fn read(&mut self, received: &mut Vec<u8>, deadline: Duration) -> Result<Duration, TransportError> {
+        match self.received.recv_timeout(deadline.saturating_sub(self.elapsed())) {
+            Ok(Ok((came, bytes))) => {
+                received.extend_from_slice(&bytes);
+                Ok(came.saturating_duration_since(self.opened))
             }
-            // What else is there already, without waiting for more.
-            wait = Duration::ZERO;
+            Ok(Err(error)) => Err(failure(error)),
+            Err(RecvTimeoutError::Timeout) => Ok(self.elapsed()),
+            Err(RecvTimeoutError::Disconnected) => Err(TransportError::Vanished),
         }
     }
 
@@ -217,5 +217,39 @@ impl Drop for SerialTransport {
                 _ => return,
             }
         }
+    }
+}
+
+#[cfg(all(unix, test))]
+mod tests {
+    use std::io::Write;
+    use std::thread;
+    use std::time::Duration;
+
+    use serialport::{SerialPort, TTYPort};
+
+    use super::{PORT_TIMEOUT, SerialTransport};
+    use crate::link::transport::Transport;
+
+    #[test]
+    fn each_piece_bears_the_time_at_which_it_came() {
+        const APART: Duration = Duration::from_millis(300);
+        let (mut board_end, mut program_end) = TTYPort::pair().expect("a pseudo-terminal");
+        program_end.set_timeout(PORT_TIMEOUT).expect("an open port");
+        let mut line = SerialTransport::over(Box::new(program_end)).expect("a second handle");
+        for byte in [1, 2] {
+            board_end.write_all(&[byte]).expect("an open port");
+            thread::sleep(APART);
+        }
+        let mut received = Vec::new();
+        let first = line.read(&mut received, Duration::ZERO).expect("an open port");
+        assert_eq!(received, [1]);
+        let second = line.read(&mut received, Duration::ZERO).expect("an open port");
+        assert_eq!(received, [1, 2]);
+        // A busy machine notices both later, and the sleeps are no shorter than asked for.
+        assert!(second > first + APART / 2, "{first:?} {second:?}");
+        assert!(line.elapsed() > first + APART, "{first:?}");
+        line.read(&mut received, Duration::ZERO).expect("an open port");
+        assert_eq!(received.len(), 2, "nothing has come since");
     }
 }

@@ -17,13 +17,13 @@ pub trait Transport {
     /// [`TransportError`]; some of the bytes may have been sent.
     fn write(&mut self, bytes: &[u8]) -> Result<(), TransportError>;
 
-    /// Appends what has come to `received`. Where nothing has come yet, waits for it until the clock says `deadline`, and
-    /// then returns with nothing appended.
+    /// Appends to `received` what has come at one time, and answers when that was; what came later is left for the next read.
+    /// Where nothing has come yet, waits for it until the clock says `deadline`, and then returns with nothing appended.
     ///
     /// # Errors
     ///
     /// [`TransportError`]; bytes that came before the error are delivered first.
-    fn read(&mut self, received: &mut Vec<u8>, deadline: Duration) -> Result<(), TransportError>;
+    fn read(&mut self, received: &mut Vec<u8>, deadline: Duration) -> Result<Duration, TransportError>;
 
     /// Time on this line's own clock, which never goes backwards.
     fn elapsed(&self) -> Duration;
@@ -61,7 +61,7 @@ impl<T: Transport + ?Sized> Transport for Box<T> {
         (**self).write(bytes)
     }
 
-    fn read(&mut self, received: &mut Vec<u8>, deadline: Duration) -> Result<(), TransportError> {
+    fn read(&mut self, received: &mut Vec<u8>, deadline: Duration) -> Result<Duration, TransportError> {
         (**self).read(received, deadline)
     }
 

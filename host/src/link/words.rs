@@ -4,8 +4,8 @@ use std::fmt::Write;
 
 use ftcal_shared::fault::AdcFault;
 use ftcal_shared::wire::{
-    AdcState, ClockSource, Failure, KeptCalibration, Rejection, ResetCause, Resumption, TrialPhase,
-    TrialStatus,
+    AdcState, ClockSource, Diagnosis, Failure, KeptCalibration, Rejection, ResetCause, Resumption,
+    TrialPhase, TrialStatus,
 };
 
 use super::frame::NoWrench;
@@ -163,6 +163,15 @@ pub const fn reset_cause(cause: ResetCause) -> &'static str {
     }
 }
 
+/// What the sensor says of its last start.
+pub fn restart(diagnosis: &Diagnosis) -> String {
+    let cause = format!("the cause is {}", reset_cause(diagnosis.reset));
+    match &diagnosis.failure {
+        None => cause,
+        Some(failed) => format!("{cause}, after {}", failure(failed)),
+    }
+}
+
 /// What made the firmware give up.
 pub fn failure(failure: &Failure) -> String {
     match failure {
@@ -200,14 +209,24 @@ pub fn trial_status(trial: &TrialStatus) -> String {
     if trial.phase == TrialPhase::None {
         return match trial.resumption {
             Resumption::Lost => {
-                format!("{phase}; the one before the reset is lost: it had no checkpoint yet")
+                format!(
+                    "{phase}; the one before the reset is lost: it had no checkpoint yet, or none that can be read"
+                )
             }
             Resumption::None | Resumption::Resumed => phase.into(),
         };
     }
     let mut words = format!("{phase}, rank {}, {} samples used", trial.rank, trial.used);
     if trial.resumption == Resumption::Resumed {
-        words.push_str(" (resumed after a reset; what came between its last checkpoint and that is lost)");
+        words.push_str(match trial.phase {
+            TrialPhase::Running => {
+                " (resumed after a reset; what came between its last checkpoint and that is lost)"
+            }
+            // The sensor does not say which.
+            _ => {
+                " (kept across a reset: whole if it was stopped before that, and else without what came after its last checkpoint)"
+            }
+        });
     }
     if trial.checkpointed > 0 {
         let _ = write!(words, ", {} of them safe from a reset", trial.checkpointed);

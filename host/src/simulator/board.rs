@@ -177,7 +177,7 @@ impl Transport for SimulatedBoard {
         Ok(())
     }
 
-    fn read(&mut self, received: &mut Vec<u8>, deadline: Duration) -> Result<(), TransportError> {
+    fn read(&mut self, received: &mut Vec<u8>, deadline: Duration) -> Result<Duration, TransportError> {
         let before = received.len();
         loop {
             self.board.take_sent(received);
@@ -185,7 +185,7 @@ impl Transport for SimulatedBoard {
                 received.iter_mut().skip(before).for_each(|byte| *byte = GARBLED);
             }
             if received.len() > before || self.elapsed() >= deadline {
-                return Ok(());
+                return Ok(self.elapsed());
             }
             self.board.advance();
         }

@@ -4,10 +4,10 @@
 //! the same bench. One transaction is one chip-select frame: whatever it writes, reads and transfers is clocked in one
 //! piece, with zeros to the converter during reads.
 
-use std::convert::Infallible;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use embedded_hal::spi::{ErrorType, Operation, SpiDevice};
+use embedded_hal::spi::{ErrorKind, ErrorType, Operation, SpiDevice};
+use ftcal_firmware::tunnel::{gather, scatter};
 
 use super::bench::Bench;
 
@@ -31,48 +31,18 @@ impl SharedBench {
 }
 
 impl ErrorType for SharedBench {
-    type Error = Infallible;
+    /// The transaction is longer than any frame of the converter.
+    type Error = ErrorKind;
 }
 
 impl SpiDevice<u8> for SharedBench {
-    fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), Infallible> {
-        let mut from_host = Vec::new();
-        for operation in operations.iter() {
-            let clocked = from_host.len() + clocked_bytes(operation);
-            match operation {
-                Operation::Write(bytes) | Operation::Transfer(_, bytes) => from_host.extend_from_slice(bytes),
-                Operation::TransferInPlace(bytes) => from_host.extend_from_slice(bytes),
-                Operation::Read(_) | Operation::DelayNs(_) => {}
-            }
-            from_host.resize(clocked, 0);
-        }
-        let mut to_host = vec![0; from_host.len()];
+    fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), ErrorKind> {
+        let from_host = gather(operations).ok_or(ErrorKind::Other)?;
+        let mut to_host = from_host.clone();
+        to_host.fill(0);
         self.with(|bench| bench.exchange(&from_host, &mut to_host));
-        let mut rest = to_host.as_slice();
-        for operation in operations.iter_mut() {
-            let clocked = clocked_bytes(operation);
-            let (now, later) = rest.split_at_checked(clocked).unwrap_or((rest, &[]));
-            if let Operation::Read(bytes)
-            | Operation::Transfer(bytes, _)
-            | Operation::TransferInPlace(bytes) = operation
-            {
-                for (byte, read) in bytes.iter_mut().zip(now) {
-                    *byte = *read;
-                }
-            }
-            rest = later;
-        }
+        scatter(&to_host, operations);
         Ok(())
-    }
-}
-
-/// How many bytes an operation clocks.
-fn clocked_bytes(operation: &Operation<'_, u8>) -> usize {
-    match operation {
-        Operation::Read(bytes) | Operation::TransferInPlace(bytes) => bytes.len(),
-        Operation::Write(bytes) => bytes.len(),
-        Operation::Transfer(read, write) => read.len().max(write.len()),
-        Operation::DelayNs(_) => 0,
     }
 }
 
@@ -101,7 +71,7 @@ mod tests {
         let mut whole = bus();
         let mut in_pieces = bus();
         let mut expected = READ_ID;
-        whole.transfer_in_place(&mut expected).expect("infallible");
+        whole.transfer_in_place(&mut expected).expect("short enough");
         let (mut middle, mut end) = ([0; 7], [0; 20]);
         let mut start = [0xA0, 0, 0];
         in_pieces
@@ -111,20 +81,20 @@ mod tests {
                 Operation::Transfer(&mut middle, &[0; 3]),
                 Operation::Read(&mut end),
             ])
-            .expect("infallible");
+            .expect("short enough");
         assert_eq!([start.as_slice(), &middle, &end].concat(), expected);
 
-        whole.write(&READ_ID).expect("infallible");
-        whole.read(&mut expected).expect("infallible");
+        whole.write(&READ_ID).expect("short enough");
+        whole.read(&mut expected).expect("short enough");
         assert_eq!(expected[0], 0x28);
     }
 
     #[test]
     fn separate_transactions_are_separate_frames() {
         let mut bus = bus();
-        bus.write(&READ_ID[..3]).expect("infallible");
+        bus.write(&READ_ID[..3]).expect("short enough");
         let mut response = [0; 3];
-        bus.read(&mut response).expect("infallible");
+        bus.read(&mut response).expect("short enough");
         assert_eq!(response[0], 0x28);
     }
 

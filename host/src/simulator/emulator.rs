@@ -3,7 +3,7 @@
 //! ```text
 //! any program ──pseudo-terminal──► USART3 ┐
 //!                                         ├─ emulated image in qemu-system-arm
-//! converter, flash ───tunnel─────► USART2 ┘
+//! converter, flash, panel ─tunnel► USART2 ┘
 //! ```
 //!
 //! The machine is `netduinoplus2`, which has the STM32F405. The host link is a pseudo-terminal, of which QEMU chooses the
@@ -23,6 +23,7 @@ use std::thread::{self, JoinHandle};
 use thiserror::Error;
 
 use super::flash::SimulatedFlash;
+use super::panel::SharedPanel;
 use super::tunnel::{Pace, TunnelledConverter, serve};
 
 /// The emulator.
@@ -58,6 +59,7 @@ pub enum EmulatorError {
 pub struct Emulator {
     machine: Child,
     flash: SimulatedFlash,
+    panel: SharedPanel,
     link: PathBuf,
     tunnel: Option<JoinHandle<io::Result<()>>>,
     /// Takes what QEMU says until it ends.
@@ -131,7 +133,9 @@ impl Emulator {
         })?;
         // From here on the machine is stopped whatever happens.
         let mut board_flash = flash.clone();
-        let mut emulator = Self { machine, flash, link: PathBuf::new(), tunnel: None, words: None };
+        let panel = SharedPanel::default();
+        let board_panel = panel.clone();
+        let mut emulator = Self { machine, flash, panel, link: PathBuf::new(), tunnel: None, words: None };
         let mut words = BufReader::new(words);
         emulator.link = link_path(&mut words)?;
         // QEMU before version 8 has the image's log follow its own words, whatever device the log was given.
@@ -141,9 +145,15 @@ impl Emulator {
         };
         emulator.words = Some(thread::spawn(move || io::copy(&mut words, &mut log)));
         let reader = our_end.try_clone()?;
-        emulator.tunnel =
-            Some(thread::spawn(move || serve(reader, our_end, &mut converter, &mut board_flash, pace)));
+        emulator.tunnel = Some(thread::spawn(move || {
+            serve(reader, our_end, &mut converter, &mut board_flash, &board_panel, pace)
+        }));
         Ok(emulator)
+    }
+
+    /// The board's button and light.
+    pub fn panel(&self) -> SharedPanel {
+        self.panel.clone()
     }
 
     /// The board's serial port, for any program to open.

@@ -16,11 +16,12 @@
 //! | [`bus`] | the bench as a driver sees it: an SPI device |
 //! | [`board`] | the firmware's application on top of the bench |
 //! | [`panel`] | the board's button and light |
+//! | [`light`] | what the light shows, told from when it is on |
 //! | [`flash`] | what the board keeps across a reset, in a file if need be |
 //! | `line` | the serial line between that board and the host |
-//! | [`tunnel`] | the bench and the flash as the emulator's |
+//! | [`tunnel`] | bench, flash and panel as the emulator's |
 //! | [`emulator`] | the firmware's image in QEMU |
-//! | [`operator`] | somebody who hangs loads, turns the sensor and plays faults on demand |
+//! | [`operator`] | somebody who hangs loads, turns the sensor, plays faults and presses the button on demand |
 //! | [`pseudo_terminal`] | a board behind a serial port that other programs can open |
 
 use rand::SeedableRng;
@@ -34,6 +35,7 @@ pub mod bus;
 pub mod emulator;
 pub mod fault;
 pub mod flash;
+pub mod light;
 mod line;
 pub mod motion;
 pub mod operator;

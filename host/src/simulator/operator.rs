@@ -5,17 +5,22 @@
 //! unload                       take it off
 //! hold X Y [Z]                 hold still, the force along this direction of the sensor frame
 //! turn                         turn through all directions
+//! press SECONDS                hold the sensor's button down
 //! fault NAME …                 see FAULTS
 //! ```
 
 use std::str::{FromStr, SplitWhitespace};
+use std::thread;
+use std::time::Duration;
 
 use nalgebra::{UnitVector3, Vector3};
 use thiserror::Error;
 
 use super::bench::{Bench, Load};
+use super::bus::SharedBench;
 use super::fault::{Fault, Rail};
 use super::motion::Turning;
+use super::panel::SharedPanel;
 
 /// What somebody at the bench understands.
 pub const HELP: &str = "\
@@ -23,6 +28,7 @@ hang MASS_KG [AX AY [AZ]]              hang this mass on the sensor at this mome
 unload                                 take the mass off
 hold X Y [Z]                           hold still, with the force along this direction of the sensor frame
 turn                                   turn through all directions (a planar sensor: in the plane, counterclockwise)
+press SECONDS                          hold the sensor's button down for so long; what its light shows is told
 fault stuck CHANNEL                    the channel repeats its reading
 fault open CHANNEL                     the gage's wire is broken
 fault saturated CHANNEL                the channel stands at the end of its range
@@ -48,6 +54,8 @@ pub enum Order {
     Hold(UnitVector3<f64>),
     /// Turn through all directions.
     Turn,
+    /// Hold the button down for so long.
+    Press(Duration),
     /// Let a fault act.
     Inject(Fault),
     /// Take back every fault.
@@ -68,6 +76,12 @@ pub enum OrderError {
     TooMany,
 }
 
+/// How long the button is held down at most, seconds.
+const LONGEST_PRESS_S: f64 = 60.0;
+
+/// Between two looks at the clock.
+const LOOK: Duration = Duration::from_millis(1);
+
 /// What another part than an ADS131M08 has in its identity register: an ADS131M04.
 const OTHER_PART: u16 = 0x2400;
 
@@ -81,6 +95,7 @@ impl FromStr for Order {
             Some("unload") => Self::Unload,
             Some("hold") => Self::Hold(direction(&mut words)?),
             Some("turn") => Self::Turn,
+            Some("press") => Self::Press(press_time(&mut words)?),
             Some("fault") => fault(&mut words)?,
             _ => return Err(OrderError::Unknown),
         };
@@ -89,17 +104,28 @@ impl FromStr for Order {
 }
 
 impl Order {
-    /// Does it.
-    pub fn carry_out(self, bench: &mut Bench) {
+    /// Does it. To press the button takes as long as it says, by the clock of the bench, which somebody else lets pass meanwhile.
+    pub fn carry_out(self, bench: &SharedBench, panel: &SharedPanel) {
         match self {
-            Self::Hang(load) => bench.hang(load),
-            Self::Unload => bench.unload(),
-            Self::Hold(direction) => bench.hold(direction),
-            Self::Turn => turn(bench),
-            Self::Inject(fault) => bench.inject(fault),
-            Self::ClearFaults => bench.clear_faults(),
+            Self::Hang(load) => bench.with(|bench| bench.hang(load)),
+            Self::Unload => bench.with(Bench::unload),
+            Self::Hold(direction) => bench.with(|bench| bench.hold(direction)),
+            Self::Turn => bench.with(turn),
+            Self::Press(time) => press(time, bench, panel),
+            Self::Inject(fault) => bench.with(|bench| bench.inject(fault)),
+            Self::ClearFaults => bench.with(Bench::clear_faults),
         }
     }
+}
+
+fn press(time: Duration, bench: &SharedBench, panel: &SharedPanel) {
+    let now = || Duration::from_micros(bench.with(|bench| bench.now()).as_micros());
+    let end = now() + time;
+    panel.press(true);
+    while now() < end {
+        thread::sleep(LOOK);
+    }
+    panel.press(false);
 }
 
 /// Turns the sensor as its trials demand: in space, or in the plane, from the direction of the paper's stage downwards.
@@ -118,6 +144,12 @@ fn load(words: &mut SplitWhitespace) -> Result<Load, OrderError> {
     let mass_kg = number(words)?.filter(|&mass| mass > 0.0).ok_or(EXPECTED)?;
     let arm_m = vector(words)?.unwrap_or_default();
     Ok(Load { mass_kg, arm_m })
+}
+
+fn press_time(words: &mut SplitWhitespace) -> Result<Duration, OrderError> {
+    const EXPECTED: OrderError = OrderError::Expected("seconds, 60 at most");
+    let seconds = number(words)?.filter(|&seconds| seconds > 0.0 && seconds <= LONGEST_PRESS_S);
+    seconds.map(Duration::from_secs_f64).ok_or(EXPECTED)
 }
 
 fn direction(words: &mut SplitWhitespace) -> Result<UnitVector3<f64>, OrderError> {
@@ -185,16 +217,42 @@ fn number(words: &mut SplitWhitespace) -> Result<Option<f64>, OrderError> {
 mod tests {
     use nalgebra::Vector3;
 
-    use super::{Bench, HELP, Order, OrderError};
+    use std::thread;
+    use std::time::Duration;
+
+    use super::{Bench, HELP, Order, OrderError, SharedBench, SharedPanel};
     use crate::simulator::bench::{Load, STANDARD_GRAVITY};
     use crate::simulator::scenario::{Scenario, ScenarioKind};
 
+    fn bench() -> SharedBench {
+        let sensor = Scenario::new(ScenarioKind::Wrist, 1).expect("sizes fit").sensor;
+        SharedBench::new(Bench::new(sensor, 1))
+    }
+
+    #[test]
+    fn the_button_is_held_down_by_the_clock_of_the_bench() {
+        let (bench, panel) = (bench(), SharedPanel::default());
+        let (at, on) = (bench.clone(), panel.clone());
+        let pressing = thread::spawn(move || Order::Press(Duration::from_secs(2)).carry_out(&at, &on));
+        while !panel.is_pressed() {
+            thread::sleep(Duration::from_millis(1));
+        }
+        // No time passes at the bench.
+        thread::sleep(Duration::from_millis(50));
+        assert!(panel.is_pressed());
+        while bench.with(|bench| bench.now().as_micros()) < 2_000_000 {
+            bench.with(Bench::next_conversion);
+        }
+        pressing.join().expect("does not panic");
+        assert!(!panel.is_pressed());
+    }
+
     #[test]
     fn orders_are_carried_out_on_the_bench() {
-        let mut bench = Bench::new(Scenario::new(ScenarioKind::Wrist, 1).expect("sizes fit").sensor, 1);
-        let mut tell = |line: &str| {
-            line.parse::<Order>().expect("understood").carry_out(&mut bench);
-            bench.true_wrench()
+        let (bench, panel) = (bench(), SharedPanel::default());
+        let tell = |line: &str| {
+            line.parse::<Order>().expect("understood").carry_out(&bench, &panel);
+            bench.with(|bench| bench.true_wrench())
         };
         tell("hang 2 0.1 0 0.05");
         let wrench = tell(" hold 0 3  0 ");
@@ -239,6 +297,9 @@ mod tests {
             "hang 1 0.1",
             "hold",
             "hold 0 0 0",
+            "press",
+            "press -1",
+            "press 1e9",
         ] {
             assert!(line.parse::<Order>().is_err(), "{line}");
         }

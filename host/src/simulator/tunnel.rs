@@ -1,4 +1,4 @@
-//! The host's end of the emulator's tunnel: a converter model and a flash behind a serial line. For the protocol see
+//! The host's end of the emulator's tunnel: a converter model, a flash and a panel behind a serial line. For the protocol see
 //! [`ftcal_firmware::tunnel`].
 //!
 //! The converter's clock is the bench's virtual time. [`serve`] lets it pass as fast as the [`Pace`] says, but never
@@ -21,6 +21,7 @@ use ftcal_shared::wire::frame::{Decoder, encode};
 use super::bench::Bench;
 use super::bus::SharedBench;
 use super::flash::SimulatedFlash;
+use super::panel::SharedPanel;
 
 /// Bytes taken from the line at once.
 const CHUNK: usize = 1024;
@@ -60,7 +61,7 @@ pub enum Pace {
     AsHandled,
 }
 
-/// Serves converter and flash to the board at the other end of the line, until the line is closed.
+/// Serves converter, flash and panel to the board at the other end of the line, until the line is closed.
 ///
 /// # Errors
 ///
@@ -70,6 +71,7 @@ pub fn serve(
     mut writer: impl Write,
     converter: &mut impl TunnelledConverter,
     flash: &mut SimulatedFlash,
+    panel: &SharedPanel,
     pace: Pace,
 ) -> io::Result<()> {
     let (sender, messages) = channel();
@@ -81,12 +83,19 @@ pub fn serve(
         let mut due = Instant::now();
         // The last announcement, as long as it is not handled.
         let mut unhandled: Option<Instant> = None;
+        let mut told_pressed = false;
         loop {
+            let is_pressed = panel.is_pressed();
+            if is_pressed != told_pressed {
+                send(&mut writer, &FromConverter::Button { is_pressed })?;
+                told_pressed = is_pressed;
+            }
             match event {
                 Ok(FromBoard::Transfer(question)) => {
                     send(&mut writer, &FromConverter::Transferred(answer(&question, converter)))?;
                 }
                 Ok(FromBoard::Handled) => unhandled = None,
+                Ok(FromBoard::Light { is_lit }) => panel.set_light(is_lit),
                 Ok(FromBoard::Flash(question)) => {
                     let answer = answer_of_flash(&question, flash);
                     if !flash.is_powered() {
@@ -184,7 +193,7 @@ mod tests {
     use ftcal_shared::units::DeviceTime;
     use ftcal_shared::wire::frame::{Decoder, encode};
 
-    use super::{Pace, SimulatedFlash, TunnelledConverter, serve};
+    use super::{Pace, SharedPanel, SimulatedFlash, TunnelledConverter, serve};
 
     const PERIOD_MICROS: u64 = 2_000;
 
@@ -224,12 +233,22 @@ mod tests {
 
     /// Plays the board for a while and returns how many conversions there were.
     fn conversions_while(pace: Pace, board: impl FnOnce(&mut PipeReader, &mut dyn Write)) -> u64 {
+        conversions_with(&SharedPanel::default(), pace, board)
+    }
+
+    fn conversions_with(
+        panel: &SharedPanel,
+        pace: Pace,
+        board: impl FnOnce(&mut PipeReader, &mut dyn Write),
+    ) -> u64 {
+        let panel = panel.clone();
         let (from_board, mut to_converter) = pipe().unwrap();
         let (mut from_converter, to_board) = pipe().unwrap();
         let server = thread::spawn(move || {
             let mut converter = Complement { conversions: 0 };
             let mut flash = SimulatedFlash::default();
-            serve(from_board, to_board, &mut converter, &mut flash, pace).map(|()| converter.conversions)
+            serve(from_board, to_board, &mut converter, &mut flash, &panel, pace)
+                .map(|()| converter.conversions)
         });
         // Nothing is announced before the board has spoken.
         to_converter.write_all(&encode(&FromBoard::Handled).unwrap()).unwrap();
@@ -300,6 +319,23 @@ mod tests {
     }
 
     #[test]
+    fn the_board_hears_of_the_button_and_the_light_is_as_it_says() {
+        let panel = SharedPanel::default();
+        conversions_with(&panel, Pace::RealTime, |from_converter, to_converter| {
+            for turn in [true, false] {
+                panel.press(turn);
+                while receive(from_converter) != (FromConverter::Button { is_pressed: turn }) {}
+                to_converter.write_all(&encode(&FromBoard::Light { is_lit: turn }).unwrap()).unwrap();
+                let begin = Instant::now();
+                while panel.light() != turn {
+                    assert!(begin.elapsed() < Duration::from_secs(10));
+                    thread::sleep(Duration::from_millis(1));
+                }
+            }
+        });
+    }
+
+    #[test]
     fn the_flash_is_read_as_it_was_written_and_says_no_beyond_its_end() {
         conversions_while(Pace::RealTime, |from_converter, to_converter| {
             let mut ask = |number, action| {
@@ -312,7 +348,9 @@ mod tests {
                             return bytes;
                         }
                         FromConverter::DataReady(_) => {}
-                        FromConverter::Transferred(_) => panic!("nothing was asked"),
+                        FromConverter::Transferred(_) | FromConverter::Button { .. } => {
+                            panic!("nothing was asked")
+                        }
                     }
                 }
             };

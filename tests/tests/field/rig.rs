@@ -170,7 +170,7 @@ impl Rig {
             while count < 200 {
                 let frame = self.client.next_frame(Duration::from_secs(1)).expect("the line is sound");
                 let Some(Frame::Wrench(sample)) = frame else { continue };
-                if let Measured::Valid(wrench) = sample.measured {
+                if let Measured::Valid(wrench) = sample.at_any_age() {
                     let force = wrench.components();
                     sum += Vector3::from_fn(|axis, _| f64::from(force[axis]));
                     count += 1;

@@ -3,14 +3,12 @@
 //! | pin | goes to |
 //! |---|---|
 //! | PB10, PB11 | host: QEMU's third serial port |
-//! | PA2, PA3 | the tunnel's other end: QEMU's second serial port |
-//! | PA0 | nothing: it reads low, so the button is never pressed |
-//! | PC12 | nothing |
+//! | PA2, PA3 | the tunnel's other end, with converter, flash, button and light: QEMU's second serial port |
 
-use stm32f4xx_hal::gpio::{PinState, gpioa, gpiob, gpioc};
+use stm32f4xx_hal::gpio::{gpioa, gpiob, gpioc};
 
 use super::Pins;
-use crate::board::panel::{Button, Light, Panel};
+use crate::board::panel::Panel;
 use crate::board::{carrier, link};
 
 /// What the log calls this board.
@@ -20,13 +18,10 @@ pub(crate) const NAME: &str = "emulated board";
 pub(crate) const CRYSTAL_HERTZ: u32 = 8_000_000;
 
 /// What is wired to what.
-pub(crate) fn pins(a: gpioa::Parts, b: gpiob::Parts, c: gpioc::Parts) -> Pins {
+pub(crate) fn pins(a: gpioa::Parts, b: gpiob::Parts, _c: gpioc::Parts) -> Pins {
     Pins {
         link: link::Pins { tx: b.pb10.into(), rx: b.pb11.into() },
         converter: carrier::Pins { tx: a.pa2.into(), rx: a.pa3.into() },
-        panel: Panel {
-            button: Button::new(a.pa0, PinState::High),
-            light: Light::new(c.pc12, PinState::High),
-        },
+        panel: Panel::new(),
     }
 }

@@ -81,12 +81,12 @@ impl<Tamper: FnMut(usize, &mut Vec<u8>)> Transport for Tampered<Tamper> {
         self.board.write(bytes)
     }
 
-    fn read(&mut self, received: &mut Vec<u8>, deadline: Duration) -> Result<(), TransportError> {
+    fn read(&mut self, received: &mut Vec<u8>, deadline: Duration) -> Result<Duration, TransportError> {
         let mut passing = Vec::new();
-        self.board.read(&mut passing, deadline)?;
+        let arrived = self.board.read(&mut passing, deadline)?;
         (self.tamper)(self.writes, &mut passing);
         received.append(&mut passing);
-        Ok(())
+        Ok(arrived)
     }
 
     fn elapsed(&self) -> Duration {
@@ -124,12 +124,12 @@ impl<Answer: FnMut(ToDevice) -> Option<ToHost>> Transport for Scripted<Answer> {
         Ok(())
     }
 
-    fn read(&mut self, received: &mut Vec<u8>, deadline: Duration) -> Result<(), TransportError> {
+    fn read(&mut self, received: &mut Vec<u8>, deadline: Duration) -> Result<Duration, TransportError> {
         if self.pending.is_empty() {
             self.now = self.now.max(deadline);
         }
         received.append(&mut self.pending);
-        Ok(())
+        Ok(self.now)
     }
 
     fn elapsed(&self) -> Duration {

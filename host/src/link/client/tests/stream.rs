@@ -9,7 +9,7 @@ use ftcal_shared::wire::{Request, StreamKind, ToDevice};
 use super::{board, client, first_gages, true_calibration};
 use crate::link::client::Client;
 use crate::link::frame::{Frame, Measured, NoWrench};
-use crate::link::transport::Transport;
+use crate::link::transport::{Transport, TransportError};
 use crate::simulator::board::SimulatedBoard;
 use crate::simulator::fault::{Fault, Rail};
 use crate::simulator::scenario::ScenarioKind;
@@ -44,7 +44,7 @@ fn wrenches_are_read_with_the_calibration_in_use() {
         .next_frame(Duration::from_millis(100))
         .expect("the line is sound")
     {
-        Some(Frame::Wrench(sample)) => sample.measured,
+        Some(Frame::Wrench(sample)) => sample.at_any_age(),
         other => panic!("a wrench was expected, not {other:?}"),
     };
     assert_eq!(next(&mut client), Measured::Invalid(NoWrench::Uncalibrated));
@@ -79,6 +79,43 @@ fn wrenches_are_read_with_the_calibration_in_use() {
     client.wait(Duration::from_millis(20)).expect("virtual time passes");
     client.stream(StreamKind::Wrench).expect("answers");
     assert_eq!(next(&mut client), Measured::Invalid(NoWrench::Saturated(0b100)));
+}
+
+/// A line over which everything is looked at only some time after it came.
+struct Late(SimulatedBoard);
+
+const LATE: Duration = Duration::from_secs(2);
+
+impl Transport for Late {
+    fn write(&mut self, bytes: &[u8]) -> Result<(), TransportError> {
+        self.0.write(bytes)
+    }
+
+    fn read(&mut self, received: &mut Vec<u8>, deadline: Duration) -> Result<Duration, TransportError> {
+        Ok(self.0.read(received, deadline)?.saturating_sub(LATE))
+    }
+
+    fn elapsed(&self) -> Duration {
+        self.0.elapsed()
+    }
+
+    fn set_baud(&mut self, baud: u32) -> Result<(), TransportError> {
+        self.0.set_baud(baud)
+    }
+}
+
+#[test]
+fn a_wrench_ages_from_when_it_came_and_not_from_when_it_was_looked_at() {
+    let mut client = Client::connect(Late(board(ScenarioKind::Fingertip))).expect("answers");
+    client.wait_for_converter().expect("the converter starts");
+    client.wait(2 * LATE).expect("virtual time passes");
+    client.upload_calibration(&first_gages(4)).expect("a sound calibration");
+    client.stream(StreamKind::Wrench).expect("answers");
+    let frame = client.next_frame(Duration::from_millis(100)).expect("the line is sound");
+    let Some(Frame::Wrench(sample)) = frame else { panic!("a wrench was expected") };
+    let now = client.line().elapsed();
+    assert_eq!(sample.within(LATE / 2, now), Measured::Invalid(NoWrench::Stale));
+    assert!(matches!(sample.within(LATE + Duration::from_millis(20), now), Measured::Valid(_)));
 }
 
 #[test]
@@ -136,17 +173,17 @@ fn the_stream_has_the_rate_that_was_asked_for() {
         other => panic!("a wrench was expected, not {other:?}"),
     };
     let mut previous = next();
-    while previous.measured == Measured::Invalid(NoWrench::Settling) {
+    while previous.at_any_age() == Measured::Invalid(NoWrench::Settling) {
         previous = next();
     }
     for _ in 0..100 {
         let sample = next();
-        assert!(matches!(sample.measured, Measured::Valid(_)));
+        assert!(matches!(sample.at_any_age(), Measured::Valid(_)));
         assert_eq!((sample.stride, sample.index.since(previous.index)), (8, 8));
         assert_eq!(sample.time.as_micros() - previous.time.as_micros(), 4000);
-        // It bears the time that it is of.
-        let delay = f64::from(output.group_delay_conversions) / 2000.0;
-        assert!((sample.complete.as_secs_f64() - sample.time.as_seconds() - delay).abs() < 3e-3);
+        // It bears the time that it is of by either clock, which are one here but for what the line delays.
+        let line = sample.taken.as_secs_f64() - sample.time.as_seconds();
+        assert!((-1e-6..3e-3).contains(&line), "{line} s");
         previous = sample;
     }
 }
