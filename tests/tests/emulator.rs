@@ -17,7 +17,6 @@ use ftcal::simulator::bus::SharedBench;
 use ftcal::simulator::emulator::Emulator;
 use ftcal::simulator::fault::Fault;
 use ftcal::simulator::scenario::{Scenario, ScenarioKind};
-use ftcal::simulator::sensor::SoftwareSensor;
 use ftcal::simulator::tunnel::{Pace, TunnelledConverter};
 use ftcal_firmware::baud::DEFAULT_BAUD;
 use ftcal_firmware::tunnel::ANSWER_MICROS;
@@ -25,10 +24,10 @@ use ftcal_shared::estimation::bins::Bins;
 use ftcal_shared::estimation::moments::higher_moment_count;
 use ftcal_shared::fault::AdcFault;
 use ftcal_shared::units::{AdcCode, DataRate, DeviceTime, Gain, Rank};
-use ftcal_shared::wire::{
-    AdcState, CalibrationUpload, ClockSource, CodesFrame, GageList, StreamKind, TrialPhase,
-};
+use ftcal_shared::wire::{AdcState, ClockSource, CodesFrame, StreamKind, TrialPhase};
 use nalgebra::{SMatrix, UnitVector3, Vector3};
+
+use ftcal_tests::truth::{true_calibration, true_matrix};
 
 /// Gages of the image.
 const GAGES: usize = 8;
@@ -91,23 +90,6 @@ fn next_codes(client: &mut Client<SerialTransport>) -> CodesFrame {
 /// SᵀS: what is known of a shape whose orientation is not.
 fn unoriented<const RANK: usize>(shape: &SMatrix<f64, RANK, GAGES>) -> SMatrix<f64, GAGES, GAGES> {
     shape.transpose() * shape
-}
-
-/// The sensor's true calibration, as the sensor takes it.
-fn true_calibration(sensor: &SoftwareSensor) -> CalibrationUpload {
-    let matrix = sensor.shape().transpose().pseudo_inverse(1e-12).unwrap();
-    // Row by row; nalgebra stores column by column.
-    let elements = matrix.transpose();
-    #[expect(clippy::cast_possible_truncation, reason = "the sensor applies single precision")]
-    let mut upload = CalibrationUpload {
-        dof: sensor.dof(),
-        gain: Gain::X128,
-        bias_counts: GageList::from_slice(sensor.bias_counts().as_slice()).unwrap(),
-        matrix: elements.iter().map(|&element| element as f32).collect(),
-        identity: 0,
-    };
-    upload.identity = upload.identity_of_numbers();
-    upload
 }
 
 #[test]
@@ -176,7 +158,7 @@ fn a_trial_is_run_and_solved_and_wrenches_are_measured() {
     });
     client.stream(StreamKind::Wrench).unwrap();
     let truth = bench.with(|bench| bench.true_wrench()).components(scenario.sensor.dof());
-    let matrix = scenario.sensor.shape().transpose().pseudo_inverse(1e-12).unwrap();
+    let matrix = true_matrix(&scenario.sensor);
     let noise = scenario.sensor.noise_counts();
     // What was converted before the load hung there is on its way, at most the queue's length.
     for _ in 0..100 {

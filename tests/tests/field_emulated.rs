@@ -22,10 +22,10 @@ use ftcal::simulator::sensor::SoftwareSensor;
 use ftcal::simulator::tunnel::Pace;
 use ftcal_firmware::field::light::Light;
 use ftcal_shared::units::{DataRate, Dof, Gain};
-use ftcal_shared::wire::{
-    CalibrationOrigin, CalibrationUpload, FieldOutcome, FieldPhase, GageList, KeptCalibration,
-};
+use ftcal_shared::wire::{CalibrationOrigin, CalibrationUpload, FieldOutcome, FieldPhase, KeptCalibration};
 use nalgebra::{DMatrix, Vector3};
+
+use ftcal_tests::truth::true_calibration;
 
 /// What hangs on the sensor: no matter where, as it feels no torque.
 const LOAD: Load = Load { mass_kg: 2.0, arm_m: Vector3::new(0.0, 0.0, 0.0) };
@@ -53,19 +53,6 @@ fn drifted(sensor: &SoftwareSensor) -> SoftwareSensor {
     shape.column_mut(2).scale_mut(1.01);
     bias[2] += 20_000.0;
     SoftwareSensor::new(sensor.dof(), shape, bias, sensor.noise_counts().clone()).unwrap()
-}
-
-fn true_calibration(sensor: &SoftwareSensor) -> CalibrationUpload {
-    let matrix = sensor.shape().transpose().pseudo_inverse(1e-12).unwrap().transpose();
-    #[expect(clippy::cast_possible_truncation, reason = "the sensor applies single precision")]
-    let mut upload = CalibrationUpload {
-        dof: sensor.dof(),
-        bias_counts: GageList::from_slice(sensor.bias_counts().as_slice()).unwrap(),
-        matrix: matrix.iter().map(|&element| element as f32).collect(),
-        identity: 0,
-    };
-    upload.identity = upload.identity_of_numbers();
-    upload
 }
 
 /// What a calibration makes of loads of a sensor, beyond a common factor: C Sᵀ over its mean gain, less the identity.

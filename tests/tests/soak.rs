@@ -18,12 +18,13 @@ use ftcal::simulator::bus::SharedBench;
 use ftcal::simulator::emulator::Emulator;
 use ftcal::simulator::fault::Fault;
 use ftcal::simulator::scenario::{Scenario, ScenarioKind};
-use ftcal::simulator::sensor::SoftwareSensor;
 use ftcal::simulator::tunnel::Pace;
 use ftcal_shared::fault::AdcFault;
 use ftcal_shared::units::{DataRate, Gain, SampleIndex};
-use ftcal_shared::wire::{CalibrationUpload, GageList, Status, StreamKind};
+use ftcal_shared::wire::{Status, StreamKind};
 use nalgebra::{DMatrix, DVector, UnitVector3, Vector3};
+
+use ftcal_tests::truth::{true_calibration, true_matrix};
 
 /// Asks for all of it.
 const ALL_WANTED: &str = "FTCAL_SOAK";
@@ -38,22 +39,6 @@ const PATIENCE: Duration = Duration::from_secs(10);
 const SAMPLE_DEVIATIONS: f64 = 7.0;
 /// The same of the mean of one part: there are some hundred of them.
 const MEAN_DEVIATIONS: f64 = 5.0;
-
-/// The least squares of the true shape.
-fn true_matrix(sensor: &SoftwareSensor) -> DMatrix<f64> {
-    sensor.shape().transpose().pseudo_inverse(1e-12).unwrap()
-}
-
-/// The sensor's true calibration, as the sensor takes it.
-fn true_calibration(sensor: &SoftwareSensor) -> CalibrationUpload {
-    #[expect(clippy::cast_possible_truncation, reason = "the sensor applies single precision")]
-    let matrix = true_matrix(sensor).transpose().iter().map(|&element| element as f32).collect();
-    let bias_counts = GageList::from_slice(sensor.bias_counts().as_slice()).unwrap();
-    let mut upload =
-        CalibrationUpload { dof: sensor.dof(), gain: Gain::X128, bias_counts, matrix, identity: 0 };
-    upload.identity = upload.identity_of_numbers();
-    upload
-}
 
 /// What has come of the stream since the start.
 #[derive(Default)]
@@ -86,7 +71,7 @@ impl Account {
         self.first.get_or_insert(sample.index);
         (self.last, self.last_micros) = (sample.index, micros);
         self.samples += 1;
-        match sample.measured {
+        match sample.at_any_age() {
             Measured::Valid(wrench) => Some(wrench.components().iter().copied().map(f64::from).collect()),
             Measured::Invalid(NoWrench::Adc(AdcFault::ReplyCorrupted | AdcFault::CommandCorrupted)) => {
                 self.corrupted += 1;

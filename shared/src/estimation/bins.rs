@@ -167,8 +167,8 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
         let runs = self.gate.runs().map_or(all.samples, u64::from);
         let mut best: Option<(f64, usize)> = None;
         let mut refusal = Refusal::NonFinite;
-        for (class, (sums, _)) in classes.iter().enumerate() {
-            match expected_error(subspace, all, sums, runs, accepted) {
+        for (class, (sums, up_to)) in classes.iter().enumerate() {
+            match expected_error(subspace, all, sums, disturbances(runs, *up_to), accepted) {
                 Err(cause) => refusal = cause,
                 Ok(error) => {
                     if best.is_none_or(|(least, _)| error < least) {
@@ -179,6 +179,7 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
         }
         let (sums, up_to) = best.and_then(|(_, class)| classes.get(class)).ok_or(refusal)?;
         // Once more: a solution is large, and the sensor has not the room to keep one while it makes the next.
+        let runs = disturbances(runs, *up_to);
         Ok(QuietSolution { solution: solve_within(subspace, all, sums, runs, accepted)?, up_to: *up_to })
     }
 
@@ -206,6 +207,14 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
                 classes.extend([(sums, up_to)]);
             }
         }
+    }
+}
+
+/// Rests alone are half of the rests and movements.
+const fn disturbances(runs: u64, up_to: Quietness) -> u64 {
+    match up_to {
+        Quietness::Still => runs.div_ceil(2),
+        Quietness::Slow | Quietness::Fast => runs,
     }
 }
 

@@ -246,7 +246,7 @@ impl<const GAGES: usize> Gate<GAGES> {
         }
     }
 
-    /// Into how many runs of one class the samples so far fall; `None` where the gate has classed none.
+    /// Into how many rests and movements the samples so far fall; `None` where the gate has classed none.
     pub fn runs(&self) -> Option<u32> {
         (self.classed > 0).then(|| self.changes.saturating_add(1))
     }
@@ -357,7 +357,7 @@ impl<const GAGES: usize> Gate<GAGES> {
     fn release(&mut self, number: u32, newest: u32) {
         let class = self.class(number, newest);
         self.classed = self.classed.saturating_add(1);
-        if class != self.latest {
+        if (class == Quietness::Still) != (self.latest == Quietness::Still) {
             self.changes = self.changes.saturating_add(1);
         }
         self.latest = class;

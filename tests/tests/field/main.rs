@@ -24,7 +24,9 @@ use ftcal_shared::wire::{
 };
 use nalgebra::{DMatrix, UnitVector3, Vector3};
 
-use rig::{CONFIRMED, DARK, PATIENCE, RENEWED, Rig, WORKING, drifted, upload};
+use rig::{CONFIRMED, DARK, PATIENCE, RENEWED, Rig, WORKING, drifted};
+
+use ftcal_tests::truth::true_calibration;
 
 const SEED: u64 = 5;
 /// The sensors and hands of those tests in which it matters.
@@ -56,7 +58,7 @@ fn is_renewed(seed: u64) {
     let scenario = force(seed);
     let other = drifted(&scenario.sensor, 2, 1.005, 20_000.0);
     let mut rig = Rig::exchanged(&scenario, &other, seed);
-    let before = upload(&scenario.sensor);
+    let before = true_calibration(&scenario.sensor);
     let known = scenario.validation[0];
     let error_before = rig.error(known);
     rig.bench.with(|bench| {
@@ -114,7 +116,10 @@ fn is_confirmed(seed: u64) {
     assert!(found.drift < OFF, "{found:?}");
     assert_eq!(rig.light(), CONFIRMED);
     let status = rig.client.status().expect("answers");
-    assert_eq!((status.calibration, status.kept.previous), (Some(upload(&scenario.sensor).identity), None));
+    assert_eq!(
+        (status.calibration, status.kept.previous),
+        (Some(true_calibration(&scenario.sensor).identity), None)
+    );
 }
 
 #[test]
@@ -126,7 +131,10 @@ fn too_large_a_drift_is_refused() {
     let FieldRefusal::Drifted { gage: 4, drift, limit } = refusal else { panic!("{refusal:?}") };
     assert!(drift > limit && drift < 0.1);
     let status = rig.client.status().expect("answers");
-    assert_eq!((status.calibration, status.kept.previous), (Some(upload(&scenario.sensor).identity), None));
+    assert_eq!(
+        (status.calibration, status.kept.previous),
+        (Some(true_calibration(&scenario.sensor).identity), None)
+    );
     // A press makes the light go out, and a long one begins anew, which another press ends.
     rig.tap();
     assert_eq!(rig.light(), DARK);
@@ -160,7 +168,7 @@ fn what_cannot_be_calibrated_in_the_field_is_refused_at_once() {
     let mut rig = Rig::new(&force.sensor, SimulatedFlash::default(), force.trials[0].load, SEED);
     rig.hold_down();
     assert_eq!(rig.refusal(), FieldRefusal::Uncalibrated);
-    rig.client.upload_calibration(&upload(&force.sensor)).expect("answers");
+    rig.client.upload_calibration(&true_calibration(&force.sensor)).expect("answers");
     rig.hold_down();
     assert_eq!(rig.refusal(), FieldRefusal::CalibrationNotKept);
     rig.client.store_calibration().expect("stores");
@@ -203,12 +211,12 @@ fn a_host_has_precedence() {
 
     // Another calibration is no longer the one to be oriented to.
     rig.hold_down();
-    rig.client.upload_calibration(&upload(&other)).expect("answers");
+    rig.client.upload_calibration(&true_calibration(&other)).expect("answers");
     assert_eq!(rig.refusal(), FieldRefusal::CalibrationChanged);
     rig.client.roll_back().expect_err("there is none before it");
 
     // Under whoever streams, nothing is changed.
-    rig.client.upload_calibration(&upload(&scenario.sensor)).expect("answers");
+    rig.client.upload_calibration(&true_calibration(&scenario.sensor)).expect("answers");
     rig.hold_down();
     rig.client.stream(StreamKind::Wrench).expect("answers");
     let end = rig.client.line().elapsed() + PATIENCE;
@@ -217,7 +225,7 @@ fn a_host_has_precedence() {
         assert!(rig.client.line().elapsed() < end);
     }
     assert_eq!(rig.light(), WORKING);
-    let identity = upload(&scenario.sensor).identity;
+    let identity = true_calibration(&scenario.sensor).identity;
     assert_eq!(rig.client.status().expect("answers").calibration, Some(identity));
     rig.client.stream(StreamKind::Off).expect("answers");
     let (outcome, _) = rig.outcome();
@@ -231,7 +239,7 @@ fn a_reset_costs_no_more_than_since_the_last_checkpoint() {
     let other = drifted(&scenario.sensor, 0, 1.01, 0.0);
     let (flash, load) = (SimulatedFlash::default(), scenario.trials[0].load);
     let mut rig = Rig::new(&scenario.sensor, flash.clone(), load, SEED);
-    rig.client.upload_calibration(&upload(&scenario.sensor)).expect("answers");
+    rig.client.upload_calibration(&true_calibration(&scenario.sensor)).expect("answers");
     rig.client.store_calibration().expect("stores");
     let mut rig = Rig::new(&other, flash.clone(), load, SEED);
     rig.hold_down();

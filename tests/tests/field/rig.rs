@@ -13,8 +13,8 @@ use ftcal::simulator::operator::turn;
 use ftcal::simulator::panel::SharedPanel;
 use ftcal::simulator::scenario::Scenario;
 use ftcal::simulator::sensor::SoftwareSensor;
-use ftcal_shared::units::Gain;
-use ftcal_shared::wire::{CalibrationUpload, FieldOutcome, FieldPhase, FieldRefusal, GageList, StreamKind};
+use ftcal_shared::wire::{FieldOutcome, FieldPhase, FieldRefusal, StreamKind};
+use ftcal_tests::truth::true_calibration;
 use nalgebra::{UnitVector3, Vector3};
 
 /// A pattern of the light has sixteen slots of this length; see `firmware/src/field/light.rs`.
@@ -36,18 +36,6 @@ pub(super) struct Rig {
     pub(super) client: Client<SimulatedBoard>,
     pub(super) panel: SharedPanel,
     pub(super) bench: SharedBench,
-}
-
-pub(super) fn upload(sensor: &SoftwareSensor) -> CalibrationUpload {
-    let shape = sensor.shape();
-    let matrix = (shape * shape.transpose()).try_inverse().expect("of full rank") * shape;
-    #[expect(clippy::cast_possible_truncation, reason = "this is the form in which it travels")]
-    let matrix = matrix.transpose().iter().map(|&element| element as f32).collect();
-    let bias_counts = GageList::from_slice(sensor.bias_counts().as_slice()).expect("at most twelve");
-    let mut upload =
-        CalibrationUpload { dof: sensor.dof(), gain: Gain::default(), bias_counts, matrix, identity: 0 };
-    upload.identity = upload.identity_of_numbers();
-    upload
 }
 
 /// A sensor whose gage answers so many times as much, and whose bias has moved by this many counts.
@@ -78,7 +66,7 @@ impl Rig {
     pub(super) fn exchanged(scenario: &Scenario, other: &SoftwareSensor, seed: u64) -> Self {
         let (flash, load) = (SimulatedFlash::default(), scenario.trials[0].load);
         let mut before = Self::new(&scenario.sensor, flash.clone(), load, seed);
-        before.client.upload_calibration(&upload(&scenario.sensor)).expect("answers");
+        before.client.upload_calibration(&true_calibration(&scenario.sensor)).expect("answers");
         before.client.store_calibration().expect("stores");
         Self::new(other, flash, load, seed)
     }
