@@ -20,12 +20,13 @@
 //! | [`acquisition::Acquisition::tick`] | every few milliseconds | timer |
 //! | [`sensor::Sensor::take_in`] | a conversion was read | below those |
 //! | [`sensor::Sensor::tick`] | every few milliseconds | below those |
-//! | [`session::Session::on_byte`] | a byte came from the host | serial interrupt |
+//! | [`session::Session::on_byte`] | a byte came from the host | below the sample path |
 //! | [`sensor::Sensor::answer`] | a request is complete | below the sample path |
 //! | [`session::Session::watch`] | every few milliseconds | below the sample path |
 //! | [`stream::Batcher`] | samples wait for the line | below the sample path |
 //! | [`trial::SolveJob::solve`] | a trial is to be solved | lowest priority, in the background |
-//! | [`sensor::Sensor::attend_panel`] | every few milliseconds | timer |
+//! | [`sensor::Sensor::attend_panel`] | every few milliseconds | below those |
+//! | [`sensor::Sensor::housekeeping`] | nothing else is to be done | lowest priority, in the background |
 //! | [`field::FieldTask::run`] | a calibration in the field has something to compute or to store | lowest priority, in the background |
 //! | [`storage::keeper::Keeper::run`] | something is to be stored | lowest priority, in the background |
 #![no_std]

@@ -11,7 +11,8 @@
 //!
 //! **Why the link comes first.** The line keeps one byte for 11 µs, and the converter's start, which the tick does, takes up to
 //! 17 ms. The link's interrupt takes less than a microsecond and shares nothing, so it delays the sample path by no more than
-//! that, and no byte is lost whatever the sample path does.
+//! that, and no byte is lost whatever the sample path does. (A flash that is being written or erased holds all of them up: 16 µs a word, in
+//! which two bytes may come at 921 600 baud, and one is lost now and then. Whoever sends it repeats it.)
 //!
 //! **What is locked.** `sample` and `tick` share the converter with those below for as long as it takes to exchange orders and report
 //! ([`Sensor::exchange`]), and nothing else holds data-ready up. The sensor is shared by `process`, `session` and `idle`: `session` holds

@@ -330,8 +330,8 @@ impl<Line: Transport> Conversation<Line> {
                     Some(Ok(message)) => arrived = self.take_in(message, came, awaited).or(arrived),
                 }
             }
-            // What has come by the deadline is looked through, however much it is.
-            let is_over = self.received.is_empty() && self.line.elapsed() >= deadline;
+            // What has come by the deadline is looked through, however much it is; on a line that is never silent, what comes later is not.
+            let is_over = came >= deadline || self.received.is_empty() && self.line.elapsed() >= deadline;
             if arrived.is_some() || is_over {
                 return Ok(arrived);
             }
