@@ -329,7 +329,12 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
     fn count_lost_before(&mut self, announced: DeviceTime) -> u32 {
         let Some(last) = self.last_announced else { return 0 };
         let period = self.period_nanos();
-        let periods = (micros_since(announced, last).saturating_mul(1000) + period / 2) / period;
+        let since_half_before = micros_since(announced, last).saturating_mul(1000) + period / 2;
+        // As is usual; it costs no division.
+        if since_half_before < 2 * period {
+            return 0;
+        }
+        let periods = since_half_before / period;
         let missing = u32::try_from(periods.saturating_sub(1)).unwrap_or(u32::MAX);
         self.counters.lost = self.counters.lost.wrapping_add(missing);
         self.next_index = SampleIndex::new(self.next_index.get().wrapping_add(missing));
@@ -338,7 +343,7 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
 
     /// Exact at every rate of the converter.
     fn period_nanos(&self) -> u64 {
-        1_000_000_000 / u64::from(self.orders.settings.data_rate.hertz())
+        u64::from(1_000_000_000 / self.orders.settings.data_rate.hertz())
     }
 }
 

@@ -24,12 +24,15 @@ use super::gate::{Gate, Quietness, Verdict};
 use super::metric::LARGEST_RELATIVE_UNCERTAINTY;
 use super::moments::Moments;
 use super::projection::{MotionSums, project};
-use super::shape::{TrialSolution, require_samples, solve_within};
+use super::shape::{Disturbances, TrialSolution, require_samples, solve_within};
 use crate::refusal::Refusal;
 use crate::units::{AdcCode, Rank};
 
 /// Shift of the gains over the unexplained variance of |m|².
 const SHIFT_OVER_UNEXPLAINED: f64 = 0.375;
+
+/// How much of a gage's answer no linear shape explains, relative: three times what a real sensor shows at rest (design § 5).
+const MODEL_ERROR: f64 = 3e-4;
 
 /// The largest relative standard deviation of a principal value of the constraint with which a direction can be named: a
 /// gain known within a half.
@@ -164,11 +167,14 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
         let (subspace, all) = found.as_ref().map_err(|refusal| *refusal)?;
         let mut classes = Cumulative::new();
         self.sum_up(subspace, &mut classes);
-        let runs = self.gate.runs().map_or(all.samples, u64::from);
+        let disturbances = |up_to| {
+            let ungated = Disturbances { number: all.samples, least: 0.0 };
+            self.gate.runs().map_or(ungated, |runs| disturbances(u64::from(runs), up_to))
+        };
         let mut best: Option<(f64, usize)> = None;
         let mut refusal = Refusal::NonFinite;
         for (class, (sums, up_to)) in classes.iter().enumerate() {
-            match expected_error(subspace, all, sums, disturbances(runs, *up_to), accepted) {
+            match expected_error(subspace, all, sums, disturbances(*up_to), accepted) {
                 Err(cause) => refusal = cause,
                 Ok(error) => {
                     if best.is_none_or(|(least, _)| error < least) {
@@ -179,8 +185,8 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
         }
         let (sums, up_to) = best.and_then(|(_, class)| classes.get(class)).ok_or(refusal)?;
         // Once more: a solution is large, and the sensor has not the room to keep one while it makes the next.
-        let runs = disturbances(runs, *up_to);
-        Ok(QuietSolution { solution: solve_within(subspace, all, sums, runs, accepted)?, up_to: *up_to })
+        let solution = solve_within(subspace, all, sums, disturbances(*up_to), accepted)?;
+        Ok(QuietSolution { solution, up_to: *up_to })
     }
 
     /// The subspace of all samples, and their mean.
@@ -210,11 +216,12 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
     }
 }
 
-/// Rests alone are half of the rests and movements.
-const fn disturbances(runs: u64, up_to: Quietness) -> u64 {
+/// Of so many rests and movements half are rests; and in each of these the magnitude is off by as much as no linear shape explains, for
+/// all that is known of it.
+const fn disturbances(runs: u64, up_to: Quietness) -> Disturbances {
     match up_to {
-        Quietness::Still => runs.div_ceil(2),
-        Quietness::Slow | Quietness::Fast => runs,
+        Quietness::Still => Disturbances { number: runs.div_ceil(2), least: 4.0 * MODEL_ERROR * MODEL_ERROR },
+        Quietness::Slow | Quietness::Fast => Disturbances { number: runs, least: 0.0 },
     }
 }
 
@@ -227,10 +234,10 @@ fn expected_error<const GAGES: usize>(
     subspace: &Basis<GAGES>,
     all: &CodeMean<GAGES>,
     quiet: &MotionSums,
-    runs: u64,
+    disturbances: Disturbances,
     accepted: f64,
 ) -> Result<f64, Refusal> {
-    let solved = solve_within(subspace, all, quiet, runs, accepted);
+    let solved = solve_within(subspace, all, quiet, disturbances, accepted);
     let solution = solved.as_ref().map_err(|refusal| *refusal)?;
     let (worst, shift) =
         (solution.uncertainty.worst_relative(), SHIFT_OVER_UNEXPLAINED * solution.unexplained);

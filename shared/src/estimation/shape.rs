@@ -18,9 +18,14 @@ use super::uncertainty::{Regressors, TrialUncertainty, predict};
 use crate::refusal::Refusal;
 use crate::units::{MAX_RANK, Rank};
 
-/// By how much the magnitude is off in every rest, for all that is known of it: how much of a gage's answer no linear shape explains,
-/// relative. Three times what a real sensor shows (design § 5).
-const MODEL_ERROR: f64 = 3e-4;
+/// What disturbs the load's magnitude, or seems to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Disturbances {
+    /// As many samples share one as there are samples to one of these.
+    pub(crate) number: u64,
+    /// The variance of |m|² that they have at least, whether it shows or not.
+    pub(crate) least: f64,
+}
 
 /// Standard deviations of the unexplained variance that are chance.
 const LARGEST_CHANCE: f64 = 4.0;
@@ -81,8 +86,8 @@ pub fn solve_trial<const GAGES: usize, const HIGHER: usize>(
     let noise = ChannelNoise::unknown(1);
     let subspace = basis(rank, &moments.codes().covariance(), moments.count(), &noise)?;
     let quiet = project(moments, &subspace.projection, rank);
-    let runs = moments.count();
-    solve_within(&subspace, &moments.codes().mean(), &quiet, runs, LARGEST_RELATIVE_UNCERTAINTY)
+    let disturbances = Disturbances { number: moments.count(), least: 0.0 };
+    solve_within(&subspace, &moments.codes().mean(), &quiet, disturbances, LARGEST_RELATIVE_UNCERTAINTY)
 }
 
 /// A trial of too few samples is refused.
@@ -94,8 +99,7 @@ pub(crate) const fn require_samples(samples: u64, rank: Rank) -> Result<(), Refu
 }
 
 /// Solves one trial within the subspace that `all` of its samples, of which this is the mean, have given; the metric
-/// constraint is taken from the `quiet` ones among them, as projected onto that subspace. What disturbs the load's magnitude is
-/// taken to be another in each of so many `runs` of samples. For `accepted` see [`metric`].
+/// constraint is taken from the `quiet` ones among them, as projected onto that subspace. For `accepted` see [`metric`].
 ///
 /// # Errors
 ///
@@ -106,7 +110,7 @@ pub(crate) fn solve_within<const GAGES: usize>(
     subspace: &Basis<GAGES>,
     all: &CodeMean<GAGES>,
     quiet: &MotionSums,
-    runs: u64,
+    disturbances: Disturbances,
     accepted: f64,
 ) -> Result<TrialSolution<GAGES>, Refusal> {
     let samples = quiet.samples();
@@ -154,7 +158,7 @@ pub(crate) fn solve_within<const GAGES: usize>(
     };
     let unexplained =
         if noise_shift.is_some() { metric.unexplained.max(LEAST_UNEXPLAINED) } else { metric.unexplained };
-    let unexplained = unexplained + lasting(rank, unexplained, &load_noise, samples, runs);
+    let unexplained = unexplained + lasting(rank, unexplained, &load_noise, samples, disturbances);
     let mut uncertainty = predict(&directions, &regressors, &load_noise, noise, unexplained, samples)?;
     if let Some(NoiseShift { metric, centre }) = noise_shift {
         uncertainty.add_shift(&carried(&orientation, &metric), &(orientation * centre));
@@ -189,21 +193,27 @@ pub(crate) fn solve_within<const GAGES: usize>(
 /// no more of them than there are rests and movements.
 ///
 /// Only what is more than chance counts: of n samples with the variance v̄ from noise and u beyond it, u itself is known to
-/// √(2/n)·(v̄ + u). But [`MODEL_ERROR`] there is at least, whether it shows or not.
+/// √(2/n)·(v̄ + u). But there is the least that is told.
 ///
 /// Few disturbances are fitted rather than seen: of d of them, k unknowns of the constraint leave the share (d − k)/d in what remains,
 /// were it fitted to them alone. It is fitted to samples, in which each comes with many places, and what is fitted that way shows
 /// even less: 2k in place of k is what agrees with simulated hands, of whose trials of 20 s and more the worst error of six lies
 /// within three of the standard deviations that come of it in nine cases of ten.
-fn lasting(rank: Rank, unexplained: f64, load_noise: &MotionMatrix, samples: u64, runs: u64) -> f64 {
+fn lasting(
+    rank: Rank,
+    unexplained: f64,
+    load_noise: &MotionMatrix,
+    samples: u64,
+    Disturbances { number, least }: Disturbances,
+) -> f64 {
     let samples = samples.max(1) as f64;
     let of_noise = 4.0 * load_noise.trace() / rank.count() as f64 + 2.0 * load_noise.norm_squared();
     let chance = libm::sqrt(2.0 / samples) * (of_noise + unexplained);
-    let beyond_chance = (unexplained - LARGEST_CHANCE * chance).max(4.0 * MODEL_ERROR * MODEL_ERROR);
-    let longest = (samples / runs.max(1) as f64).clamp(1.0, LONGEST_DISTURBANCE);
-    let disturbances = samples / longest;
+    let beyond_chance = (unexplained - LARGEST_CHANCE * chance).max(least);
+    let longest = (samples / number.max(1) as f64).clamp(1.0, LONGEST_DISTURBANCE);
+    let number = samples / longest;
     let unknowns = (rank.count() * (rank.count() + 1) / 2 + rank.count()) as f64;
-    let seen = (disturbances - 2.0 * unknowns).max(1.0) / disturbances;
+    let seen = (number - 2.0 * unknowns).max(1.0) / number;
     beyond_chance * (longest / seen - 1.0).max(0.0)
 }
 
