@@ -1,6 +1,7 @@
 //! The sensor as a whole: samples in, frames out; requests in, responses out. Requests about its health, and about what it
 //! keeps, are served in files of their own; so is whoever calibrates it in the field, with no host.
 
+mod calibration;
 mod field;
 mod health;
 mod keeping;
@@ -8,16 +9,13 @@ mod keeping;
 use core::ops::DerefMut;
 
 use embedded_hal::spi::SpiDevice;
-use ftcal_shared::estimation::application::{RealTimeCalibration, UnusableCalibration};
 use ftcal_shared::estimation::bins::Bins;
-use ftcal_shared::estimation::parity::ParitySpace;
 use ftcal_shared::fault::AdcFault;
-use ftcal_shared::units::{AdcCode, Decimation, DeviceTime, SampleIndex};
+use ftcal_shared::units::{Decimation, DeviceTime, SampleIndex};
 use ftcal_shared::wire::health::StatusBit;
 use ftcal_shared::wire::{
-    AdcState, CalibrationOrigin, CalibrationUpload, ClockSource, CodesFrame, GageList, HealthRequest,
-    Identity, InvalidCause, KeptCalibrations, Output, PackedWrenches, Rejection, Request, Response, Status,
-    StreamKind,
+    AdcState, ClockSource, CodesFrame, GageList, HealthRequest, Identity, InvalidCause, KeptCalibrations,
+    Output, Rejection, Request, Response, Status, StreamKind,
 };
 
 use crate::acquisition::{Acquisition, Sample};
@@ -27,10 +25,11 @@ use crate::field::Field;
 use crate::handover::{Reading, RemoteConverter};
 use crate::health::{Health, Observed, SelfTest, is_disturbance};
 use crate::storage::checkpoint::TrialAccess;
-use crate::storage::items::StoredCalibration;
 use crate::storage::job::StoreJob;
 use crate::stream::{Measurement, Moment, SilentMoment, WrenchMoment};
 use crate::trial::{SolveJob, Trial};
+
+use calibration::LoadedCalibration;
 
 /// What a request leads to.
 pub enum Reaction<Store, const GAGES: usize, const HIGHER: usize> {
@@ -77,29 +76,6 @@ pub struct Sensor<Store, const GAGES: usize, const HIGHER: usize> {
     clock: ClockSource,
     /// Readings that were not attended to before the next conversion was due.
     late_samples: u32,
-}
-
-/// A calibration as it came, and in the form that the sample path applies.
-struct LoadedCalibration<const GAGES: usize> {
-    upload: CalibrationUpload,
-    origin: CalibrationOrigin,
-    /// Of all gages, or of all but one.
-    real_time: RealTimeCalibration<GAGES>,
-}
-
-impl<const GAGES: usize> LoadedCalibration<GAGES> {
-    fn new(stored: StoredCalibration) -> Result<Self, Rejection> {
-        let StoredCalibration { upload, origin } = stored;
-        if upload.identity != upload.identity_of_numbers() {
-            return Err(Rejection::WrongIdentity);
-        }
-        let real_time = prepared(&upload)?;
-        Ok(Self { upload, origin, real_time })
-    }
-
-    fn to_be_stored(&self) -> StoredCalibration {
-        StoredCalibration { upload: self.upload.clone(), origin: self.origin }
-    }
 }
 
 impl<Store, const GAGES: usize, const HIGHER: usize> Sensor<Store, GAGES, HIGHER>
@@ -356,49 +332,6 @@ where
         }
     }
 
-    /// Every sample is measured, streamed or not: health is to be known all the time.
-    fn measure(&mut self, sample: &Sample<GAGES>) -> Measurement {
-        let gain = self.converter.settings().gain;
-        let (usable, axes, identity) = match &self.calibration {
-            None => (Err(InvalidCause::Uncalibrated), 0, 0),
-            Some(loaded) if loaded.upload.gain != gain => (Err(InvalidCause::GainChanged), 0, 0),
-            Some(loaded) => (Ok(&loaded.real_time), loaded.upload.dof.count(), loaded.upload.identity),
-        };
-        match self.health.measure(usable, saturated_channels(&sample.codes), sample) {
-            Err(cause) => Measurement::Invalid(cause),
-            Ok(()) if !PackedWrenches::can_hold(self.health.wrench()) => {
-                Measurement::Invalid(InvalidCause::NonFinite)
-            }
-            #[expect(clippy::cast_possible_truncation, reason = "at most six axes")]
-            Ok(()) => {
-                Measurement::Valid { wrench: *self.health.wrench(), axes: axes as u8, calibration: identity }
-            }
-        }
-    }
-
-    /// Takes a calibration into use, of whatever gain: while the converter has another one, there is no wrench. The calibration before
-    /// stays in use where the new one is refused.
-    #[inline(never)]
-    fn load(&mut self, upload: CalibrationUpload) -> Result<(), Rejection> {
-        if self.calibration.as_ref().is_some_and(|loaded| loaded.upload == upload) {
-            // Once more, because the answer was lost: tare and noise are of this very calibration.
-            return Ok(());
-        }
-        let uploaded = StoredCalibration { upload, origin: CalibrationOrigin::Uploaded };
-        LoadedCalibration::new(uploaded).map(|loaded| self.use_calibration(loaded))
-    }
-
-    fn use_calibration(&mut self, loaded: LoadedCalibration<GAGES>) {
-        let data_rate = self.converter.settings().data_rate;
-        self.health.watch(ParitySpace::new(&loaded.real_time.matrix()), None, data_rate);
-        self.health.start_anew(loaded.upload.identity, loaded.upload.dof);
-        self.calibration = Some(loaded);
-    }
-
-    fn calibration_response(&self) -> Response {
-        Response::Calibration(self.calibration.as_ref().map(|calibration| calibration.upload.clone()))
-    }
-
     fn output(&self) -> Output {
         let decimation = self.decimator.decimation();
         Output {
@@ -471,23 +404,6 @@ const fn changes_something(request: &Request) -> bool {
             | HealthRequest::StartSelfTest,
         ) => true,
     }
-}
-
-/// A calibration in the form that the sample path applies.
-fn prepared<const GAGES: usize>(upload: &CalibrationUpload) -> Result<RealTimeCalibration<GAGES>, Rejection> {
-    RealTimeCalibration::new(upload.dof, &upload.matrix, &upload.bias_counts).map_err(|unusable| {
-        match unusable {
-            UnusableCalibration::WrongDimensions => Rejection::WrongDimensions,
-            UnusableCalibration::NonFinite | UnusableCalibration::BiasOutOfRange => {
-                Rejection::UnusableNumbers
-            }
-        }
-    })
-}
-
-/// Which channels stand at an end of their range: bit k for gage k.
-fn saturated_channels<const GAGES: usize>(codes: &[AdcCode; GAGES]) -> u16 {
-    codes.iter().enumerate().fold(0, |mask, (gage, code)| mask | (u16::from(code.is_saturated()) << gage))
 }
 
 /// Where nobody else works with the sensor meanwhile.

@@ -31,3 +31,12 @@ pub fn true_calibration(sensor: &SoftwareSensor) -> CalibrationUpload {
     upload.identity = upload.identity_of_numbers();
     upload
 }
+
+/// What a calibration makes of loads of a sensor, beyond a common factor: C Sᵀ over its mean gain, less the identity; of three forces.
+pub fn shape_error(calibration: &CalibrationUpload, sensor: &SoftwareSensor) -> f64 {
+    let gages = sensor.gages();
+    let matrix = DMatrix::from_fn(3, gages, |row, gage| f64::from(calibration.matrix[row * gages + gage]));
+    let product = matrix * sensor.shape().transpose();
+    let mean = product.trace() / 3.0;
+    (product / mean - DMatrix::identity(3, 3)).norm()
+}

@@ -23,9 +23,9 @@ use ftcal::simulator::tunnel::Pace;
 use ftcal_firmware::field::light::Light;
 use ftcal_shared::units::{DataRate, Dof, Gain};
 use ftcal_shared::wire::{CalibrationOrigin, CalibrationUpload, FieldOutcome, FieldPhase, KeptCalibration};
-use nalgebra::{DMatrix, Vector3};
+use nalgebra::Vector3;
 
-use ftcal_tests::truth::true_calibration;
+use ftcal_tests::truth::{shape_error, true_calibration};
 
 /// What hangs on the sensor: no matter where, as it feels no torque.
 const LOAD: Load = Load { mass_kg: 2.0, arm_m: Vector3::new(0.0, 0.0, 0.0) };
@@ -53,15 +53,6 @@ fn drifted(sensor: &SoftwareSensor) -> SoftwareSensor {
     shape.column_mut(2).scale_mut(1.01);
     bias[2] += 20_000.0;
     SoftwareSensor::new(sensor.dof(), shape, bias, sensor.noise_counts().clone()).unwrap()
-}
-
-/// What a calibration makes of loads of a sensor, beyond a common factor: C Sᵀ over its mean gain, less the identity.
-fn shape_error(calibration: &CalibrationUpload, sensor: &SoftwareSensor) -> f64 {
-    let gages = sensor.gages();
-    let matrix = DMatrix::from_fn(3, gages, |row, gage| f64::from(calibration.matrix[row * gages + gage]));
-    let product = matrix * sensor.shape().transpose();
-    let mean = product.trace() / 3.0;
-    (product / mean - DMatrix::identity(3, 3)).norm()
 }
 
 /// Stores what the sensor is to know before.

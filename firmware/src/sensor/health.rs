@@ -11,7 +11,8 @@ use ftcal_shared::wire::{
     TrialPhase,
 };
 
-use super::{Sensor, prepared};
+use super::Sensor;
+use super::calibration::prepared;
 
 impl<Store, const GAGES: usize, const HIGHER: usize> Sensor<Store, GAGES, HIGHER>
 where

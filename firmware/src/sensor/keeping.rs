@@ -6,7 +6,8 @@ use ftcal_shared::estimation::bins::Bins;
 use ftcal_shared::units::DeviceTime;
 use ftcal_shared::wire::{KeptCalibration, MemoryRequest, Rejection, Response, StreamKind};
 
-use super::{LoadedCalibration, Sensor};
+use super::Sensor;
+use super::calibration::LoadedCalibration;
 use crate::adc::AdcSettings;
 use crate::storage::items::{Settings, StoredCalibration};
 use crate::storage::job::{StoreJob, Stored};

@@ -34,9 +34,13 @@ use ftcal_shared::wire::TrialPhase;
 use super::items::Settings;
 use super::layout::{ERASED, Fits, SECTOR, WORD};
 use super::memory::StorageError;
-use super::words::{WordReader, WordWriter, is_blank, read_word, write_word};
+use super::words::{WordReader, WordWriter, read_word};
 use crate::adc::CHANNELS;
 use crate::trial::{Counts, Standing, Trial};
+
+mod heads;
+
+use heads::{FIRST_RECORD, Newest};
 
 /// Between two checkpoints, at first.
 const INTERVAL_MICROS: u64 = 10_000_000;
@@ -46,13 +50,6 @@ const MOST_DOUBLINGS: u32 = 20;
 
 /// After a checkpoint that failed.
 const RETRY_MICROS: u64 = 1_000_000;
-
-/// "ftc2": the format of heads and records is in it, and it is raised with them.
-const SEAL: u32 = u32::from_be_bytes(*b"ftc2");
-const HEAD: u32 = WORD;
-/// Number, gages, checksum.
-const HEAD_WORDS: u32 = 3;
-const FIRST_RECORD: u32 = 64;
 
 /// "trla": a record begins.
 const RECORD: u32 = u32::from_be_bytes(*b"trla");
@@ -131,11 +128,10 @@ impl Checkpoints {
     /// the trial will have no checkpoints; and neither has any other from then on, for it would be taken for this one.
     pub fn begin<Flash: NorFlash>(&mut self, flash: &mut Flash, gages: usize, may_erase: bool) {
         let () = Fits::<Flash>::CHECK;
-        self.run = prepare_run(flash, gages, may_erase).unwrap_or(None);
+        let place = heads::begin(flash, gages, may_erase).unwrap_or(None);
+        self.run = place.map(|(side, number)| Run { side, number, place: 0, due: None, is_complete: false });
         if self.run.is_none() {
-            for side in 0..2 {
-                bury(flash, side);
-            }
+            heads::bury(flash);
         }
     }
 
@@ -192,17 +188,13 @@ impl Checkpoints {
         Store: DerefMut<Target = Bins<GAGES, HIGHER>>,
         Access: TrialAccess<Store, GAGES, HIGHER>,
     {
-        let (side, number, gages) = match [head(flash, 0)?, head(flash, 1)?] {
-            [Head::Trial { number, gages }, Head::Blank | Head::Dead] => (0, number, gages),
-            [Head::Trial { number, gages }, Head::Trial { number: other, .. }] if is_newer(number, other) => {
-                (0, number, gages)
-            }
-            [_, Head::Trial { number, gages }] => (1, number, gages),
-            [Head::Blank, Head::Blank] => return Ok(None),
-            [Head::Blank | Head::Dead, Head::Blank | Head::Dead] => {
+        let (side, number, gages) = match heads::newest(flash)? {
+            Newest::None => return Ok(None),
+            Newest::Lost => {
                 access.with(Trial::note_loss);
                 return Ok(None);
             }
+            Newest::Trial { side, number, gages } => (side, number, gages),
         };
         let resumed = if gages == GAGES { self.resume_from(flash, side, number, access)? } else { None };
         if resumed.is_none() {
@@ -256,102 +248,8 @@ impl Checkpoints {
     }
 }
 
-const fn is_newer(one: u32, other: u32) -> bool {
-    one.wrapping_sub(other).cast_signed() > 0
-}
-
 const fn later(now: DeviceTime, micros: u64) -> DeviceTime {
     DeviceTime::from_micros(now.as_micros().saturating_add(micros))
-}
-
-/// What a trial's sector begins with.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Head {
-    /// No trial.
-    Blank,
-    /// A trial that had no checkpoints, or whose number cannot be read.
-    Dead,
-    /// This trial.
-    Trial { number: u32, gages: usize },
-}
-
-impl Head {
-    const fn number(self) -> Option<u32> {
-        match self {
-            Self::Trial { number, .. } => Some(number),
-            Self::Blank | Self::Dead => None,
-        }
-    }
-}
-
-fn head<Flash: NorFlash>(flash: &mut Flash, side: u32) -> Result<Head, StorageError> {
-    let start = side * SECTOR;
-    if read_word(flash, start)? != SEAL || is_blank(flash, start + HEAD, start + HEAD + HEAD_WORDS * WORD)? {
-        return Ok(Head::Blank);
-    }
-    let mut words = WordReader::new(flash, start + HEAD);
-    let (Some(number), Some(gages)) = (words.next_word(), words.next_word()) else {
-        return Err(StorageError::Flash);
-    };
-    let expected = words.checksum();
-    let is_whole = words.next_word() == Some(expected);
-    Ok(if is_whole { Head::Trial { number, gages: gages as usize } } else { Head::Dead })
-}
-
-/// Has the trial in this sector, if there is one, resumed no more. Nothing is to be done about a flash that fails; it fails on the next
-/// start, too.
-fn bury<Flash: NorFlash>(flash: &mut Flash, side: u32) {
-    if head(flash, side).is_ok_and(|head| head.number().is_some()) {
-        for word in 0..HEAD_WORDS {
-            let _ = write_word(flash, side * SECTOR + HEAD + word * WORD, 0);
-        }
-    }
-}
-
-/// The sector of a new trial; `None` where it would have to be erased first, and may not.
-fn prepare_run<Flash: NorFlash>(
-    flash: &mut Flash,
-    gages: usize,
-    may_erase: bool,
-) -> Result<Option<Run>, StorageError> {
-    let (side, number) = match [head(flash, 0)?.number(), head(flash, 1)?.number()] {
-        [None, None] => (0, 1),
-        [Some(newest), None] => (1, newest.wrapping_add(1)),
-        [Some(one), Some(other)] if is_newer(one, other) => (1, one.wrapping_add(1)),
-        [_, Some(newest)] => (0, newest.wrapping_add(1)),
-    };
-    if !prepare(flash, side, may_erase)? {
-        return Ok(None);
-    }
-    write_head(flash, side, number, gages)?;
-    Ok(Some(Run { side, number, place: 0, due: None, is_complete: false }))
-}
-
-fn write_head<Flash: NorFlash>(
-    flash: &mut Flash,
-    side: u32,
-    number: u32,
-    gages: usize,
-) -> Result<(), StorageError> {
-    let mut words = WordWriter::new(flash, side * SECTOR + HEAD);
-    words.put(number);
-    words.put(u32::try_from(gages).unwrap_or_default());
-    words.finish()
-}
-
-/// Makes sure that a sector is erased and sealed; whether it is.
-fn prepare<Flash: NorFlash>(flash: &mut Flash, side: u32, may_erase: bool) -> Result<bool, StorageError> {
-    let start = side * SECTOR;
-    let is_sealed = read_word(flash, start)? == SEAL;
-    if is_sealed && is_blank(flash, start + HEAD, start + HEAD + HEAD_WORDS * WORD)? {
-        return Ok(true);
-    }
-    if may_erase {
-        write_word(flash, start, 0)?;
-        flash.erase(start, start + SECTOR).map_err(|_| StorageError::Flash)?;
-        write_word(flash, start, SEAL)?;
-    }
-    Ok(may_erase)
 }
 
 fn is_free<Flash: NorFlash, const GAGES: usize>(

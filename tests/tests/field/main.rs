@@ -15,18 +15,17 @@ use ftcal::simulator::flash::SimulatedFlash;
 use ftcal::simulator::motion::Turning;
 use ftcal::simulator::operator::turn;
 use ftcal::simulator::scenario::{Scenario, ScenarioKind};
-use ftcal::simulator::sensor::SoftwareSensor;
 use ftcal_shared::estimation::reorientation::MODEL_ERROR;
 use ftcal_shared::units::{DataRate, Gain};
 use ftcal_shared::wire::{
-    CalibrationOrigin, CalibrationUpload, FieldOutcome, FieldPhase, FieldRefusal, KeptCalibration, Rejection,
-    Renewed, StreamKind, TrialPhase,
+    CalibrationOrigin, FieldOutcome, FieldPhase, FieldRefusal, KeptCalibration, Rejection, Renewed,
+    StreamKind, TrialPhase,
 };
-use nalgebra::{DMatrix, UnitVector3, Vector3};
+use nalgebra::{UnitVector3, Vector3};
 
 use rig::{CONFIRMED, DARK, PATIENCE, RENEWED, Rig, WORKING, drifted};
 
-use ftcal_tests::truth::true_calibration;
+use ftcal_tests::truth::{shape_error, true_calibration};
 
 const SEED: u64 = 5;
 /// The sensors and hands of those tests in which it matters.
@@ -38,15 +37,6 @@ const OFF: f32 = 3.0 * (5e-4 + MODEL_ERROR);
 
 fn force(seed: u64) -> Scenario {
     Scenario::new(ScenarioKind::Force, seed).expect("sizes fit")
-}
-
-/// What a calibration makes of loads of a sensor, beyond a common factor: C Sᵀ over its mean gain, less the identity.
-fn shape_error(calibration: &CalibrationUpload, sensor: &SoftwareSensor) -> f64 {
-    let gages = sensor.gages();
-    let matrix = DMatrix::from_fn(3, gages, |row, gage| f64::from(calibration.matrix[row * gages + gage]));
-    let product = matrix * sensor.shape().transpose();
-    let mean = product.trace() / 3.0;
-    (product / mean - DMatrix::identity(3, 3)).norm()
 }
 
 #[test]
