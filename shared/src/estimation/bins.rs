@@ -20,7 +20,7 @@ use super::basis::{Basis, basis};
 use super::code_sums::{CodeMean, CodeSums, MAX_SAMPLES};
 use super::coverage::{Coverage, coverage};
 use super::expectation::Expectation;
-use super::gate::{Gate, Quietness, Verdict};
+use super::gate::{Episodes, Gate, Quietness, Verdict};
 use super::metric::LARGEST_RELATIVE_UNCERTAINTY;
 use super::moments::Moments;
 use super::projection::{MotionSums, project};
@@ -169,7 +169,7 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
         self.sum_up(subspace, &mut classes);
         let disturbances = |up_to| {
             let ungated = Disturbances { number: all.samples, least: 0.0 };
-            self.gate.runs().map_or(ungated, |runs| disturbances(u64::from(runs), up_to))
+            self.gate.episodes().map_or(ungated, |episodes| disturbances(episodes, up_to))
         };
         let mut best: Option<(f64, usize)> = None;
         let mut refusal = Refusal::NonFinite;
@@ -216,12 +216,12 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
     }
 }
 
-/// Of so many rests and movements half are rests; and in each of these the magnitude is off by as much as no linear shape explains, for
-/// all that is known of it.
-const fn disturbances(runs: u64, up_to: Quietness) -> Disturbances {
+/// Every rest and every movement has a disturbance of its own. In a rest it is as large as what no linear shape explains, for all that
+/// is known of it.
+const fn disturbances(episodes: Episodes, up_to: Quietness) -> Disturbances {
     match up_to {
-        Quietness::Still => Disturbances { number: runs.div_ceil(2), least: 4.0 * MODEL_ERROR * MODEL_ERROR },
-        Quietness::Slow | Quietness::Fast => Disturbances { number: runs, least: 0.0 },
+        Quietness::Still => Disturbances { number: episodes.rests, least: 4.0 * MODEL_ERROR * MODEL_ERROR },
+        Quietness::Slow | Quietness::Fast => Disturbances { number: episodes.all, least: 0.0 },
     }
 }
 

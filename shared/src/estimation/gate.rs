@@ -92,6 +92,18 @@ const LEAST_STEP: f32 = 0.05;
 /// Noise of two steps of the codes, variance in steps²: above it no converter repeats itself.
 const UNREPEATABLE: f32 = 4.0;
 
+/// Changes of class from one movement to the next: slow, fast, slow, and still where there is a rest.
+const CHANGES_OF_MOVEMENT: u64 = 4;
+
+/// How often the load has rested and moved.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Episodes {
+    /// Rests.
+    pub rests: u64,
+    /// Rests, and movements between them; where it hardly ever rests, movements as its speed tells them apart. One at least.
+    pub all: u64,
+}
+
 /// How quiet the load was.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Quietness {
@@ -152,6 +164,8 @@ pub struct Gate<const GAGES: usize> {
     /// Blocks that were classed, and how often the class has changed.
     classed: u32,
     changes: u32,
+    /// How often the load has come to rest.
+    rests: u32,
 }
 
 /// A classed block on its way out, one sample with each that comes in: what takes them has much to do.
@@ -243,12 +257,15 @@ impl<const GAGES: usize> Gate<GAGES> {
             off_magnitude: 0,
             classed: 0,
             changes: 0,
+            rests: 0,
         }
     }
 
     /// Into how many rests and movements the samples so far fall; `None` where the gate has classed none.
-    pub fn runs(&self) -> Option<u32> {
-        (self.classed > 0).then(|| self.changes.saturating_add(1))
+    pub fn episodes(&self) -> Option<Episodes> {
+        let (rests, changes) = (u64::from(self.rests), u64::from(self.changes));
+        let all = (2 * rests).max(changes / CHANGES_OF_MOVEMENT).max(1);
+        (self.classed > 0).then_some(Episodes { rests, all })
     }
 
     /// Has every further sample compared with this.
@@ -357,8 +374,9 @@ impl<const GAGES: usize> Gate<GAGES> {
     fn release(&mut self, number: u32, newest: u32) {
         let class = self.class(number, newest);
         self.classed = self.classed.saturating_add(1);
-        if (class == Quietness::Still) != (self.latest == Quietness::Still) {
+        if class != self.latest {
             self.changes = self.changes.saturating_add(1);
+            self.rests = self.rests.saturating_add(u32::from(class == Quietness::Still));
         }
         self.latest = class;
         let place = number as usize % WINDOW;

@@ -6,8 +6,8 @@ use crate::storage::layout::{SECTOR, WORD};
 use crate::storage::memory::StorageError;
 use crate::storage::words::{WordReader, WordWriter, is_blank, read_word, write_word};
 
-/// "ftc2": the format of heads and records is in it, and it is raised with them.
-const SEAL: u32 = u32::from_be_bytes(*b"ftc2");
+/// "ftc3": the format of heads and records is in it, and it is raised with them.
+const SEAL: u32 = u32::from_be_bytes(*b"ftc3");
 const HEAD: u32 = WORD;
 /// Number, gages, checksum.
 const HEAD_WORDS: u32 = 3;

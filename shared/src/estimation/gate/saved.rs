@@ -1,12 +1,12 @@
 //! What the gate has learnt, as words, to be continued after a reset: the level of the noise, its covariance at rest, the resolution, and
-//! how often the class has changed. Samples that wait to be classed are not among it, nor what was expected of them.
+//! how often the class has changed and the load has come to rest. Samples that wait to be classed are not among it, nor what was expected of them.
 
 use super::Gate;
 use crate::estimation::words::{put_wide, take_wide};
 
 /// Words of what a gate over this many channels has learnt.
 pub const fn saved_words(gages: usize) -> usize {
-    8 + gages * (gages + 1)
+    9 + gages * (gages + 1)
 }
 
 impl<const GAGES: usize> Gate<GAGES> {
@@ -19,6 +19,7 @@ impl<const GAGES: usize> Gate<GAGES> {
         put(self.off_magnitude);
         put(self.classed);
         put(self.changes);
+        put(self.rests);
         put(self.rest_noise.contrasts);
         for i in 0..GAGES {
             for j in i..GAGES {
@@ -38,6 +39,7 @@ impl<const GAGES: usize> Gate<GAGES> {
         self.off_magnitude = take()?;
         self.classed = take()?;
         self.changes = take()?;
+        self.rests = take()?;
         self.rest_noise.contrasts = take()?;
         for i in 0..GAGES {
             for j in i..GAGES {
