@@ -2,7 +2,6 @@
 //!
 //! `tests/soak` runs it for a simulated day in process, and for ten minutes in the emulator; `tests/run` for some minutes and some seconds.
 //! Both begin with counters, and in the emulator with a clock, that are about to begin at zero again.
-#![cfg(unix)]
 
 use std::env;
 use std::path::PathBuf;
@@ -180,11 +179,11 @@ fn a_day_on_the_bench() {
 #[test]
 #[ignore = "needs the images and the emulator: tests/run provides both"]
 fn ten_minutes_in_the_emulator() {
-    // The trial of a quarter of a minute has not seen enough to be certain.
-    let (image, lasting, certain_within) = if env::var_os(ALL_WANTED).is_some() {
-        ("ftcal-soak.elf", Duration::from_mins(10), 0.005)
+    let is_whole = env::var_os(ALL_WANTED).is_some();
+    let (image, lasting) = if is_whole {
+        ("ftcal-soak.elf", Duration::from_mins(10))
     } else {
-        ("ftcal-emulated.elf", Duration::from_secs(15), 0.3)
+        ("ftcal-emulated.elf", Duration::from_secs(15))
     };
     let image = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../target/images").join(image);
     let scenario = Scenario::new(ScenarioKind::Wrist, 1).unwrap();
@@ -219,6 +218,11 @@ fn ten_minutes_in_the_emulator() {
 
     let trial = client.stop_trial().unwrap();
     assert_eq!((trial.saturated, trial.repeated, trial.contradictory), (0, 0, 0));
+    println!("{} conversions, each accounted for; trial of {} samples", account.advanced(), trial.used);
+    if !is_whole {
+        println!("a quarter of a minute has not seen enough for an answer: the trial is not solved");
+        return;
+    }
     let solution = client.solve_trial().unwrap();
     let shape = DMatrix::from_row_slice(3, scenario.sensor.gages(), &solution.shape_counts_per_load);
     // What the gages say of the load along each axis is the shape of the trial, up to its orientation.
@@ -232,6 +236,6 @@ fn ten_minutes_in_the_emulator() {
     let truth = DMatrix::from_columns(&along).transpose();
     let (found, expected) = (shape.transpose() * &shape, truth.transpose() * &truth);
     let off = (&found - &expected).amax() / expected.amax();
-    println!("{} conversions, trial of {} samples, off by {off:.1e}", account.advanced(), solution.samples);
-    assert!(off < certain_within, "{off}");
+    println!("off by {off:.1e} of the shape's products");
+    assert!(off < 0.005, "{off}");
 }
