@@ -72,7 +72,10 @@ impl Account {
         self.samples += 1;
         match sample.at_any_age() {
             Measured::Valid(wrench) => Some(wrench.components().iter().copied().map(f64::from).collect()),
-            Measured::Invalid(NoWrench::Adc(AdcFault::ReplyCorrupted | AdcFault::CommandCorrupted)) => {
+            // The emulator's bus gives up where its machine stands still for long.
+            Measured::Invalid(NoWrench::Adc(
+                AdcFault::ReplyCorrupted | AdcFault::CommandCorrupted | AdcFault::Bus,
+            )) => {
                 self.corrupted += 1;
                 None
             }
