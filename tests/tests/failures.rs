@@ -2,6 +2,7 @@
 //!
 //! The function is the one that serves the wish to carry on without a gage, so that the failure comes when it is asked for. After it, the
 //! sensor is reset, answers again, and knows what happened.
+#![cfg(unix)]
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -2,6 +2,7 @@
 //!
 //! `tests/soak` runs it for a simulated day in process, and for ten minutes in the emulator; `tests/run` for some minutes and some seconds.
 //! Both begin with counters, and in the emulator with a clock, that are about to begin at zero again.
+#![cfg(unix)]
 
 use std::env;
 use std::path::PathBuf;

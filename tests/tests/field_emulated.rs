@@ -2,6 +2,7 @@
 //!
 //! A sensor that was calibrated exactly is exchanged, under the same memory, for one that has drifted. The light is looked at as somebody
 //! does who stands before it, by a clock on the wall; so is the button pressed.
+#![cfg(unix)]
 
 use std::path::{Path, PathBuf};
 use std::thread;

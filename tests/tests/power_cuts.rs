@@ -10,6 +10,7 @@
 //! | 6 | the first checkpoint of a trial that runs |
 //!
 //! Several boards live at the same time: they wait most of it.
+#![cfg(unix)]
 
 use std::env;
 use std::fs;
