@@ -1,5 +1,6 @@
 //! What a simulated sensor would be told if everything were known of it.
 
+use ftcal::calibration::matrix::matrix_of_shape;
 use ftcal::simulator::sensor::SoftwareSensor;
 use ftcal_shared::units::Gain;
 use ftcal_shared::wire::{CalibrationUpload, GageList};
@@ -11,8 +12,7 @@ use nalgebra::DMatrix;
 ///
 /// Where a degree of freedom is not felt.
 pub fn true_matrix(sensor: &SoftwareSensor) -> DMatrix<f64> {
-    let shape = sensor.shape();
-    (shape * shape.transpose()).try_inverse().expect("of full rank") * shape
+    matrix_of_shape(sensor.shape()).expect("of full rank")
 }
 
 /// The sensor's true calibration, as the sensor takes it.

@@ -16,6 +16,7 @@ use ftcal_shared::estimation::parity::ParitySpace;
 use ftcal_shared::units::{AdcCode, DataRate, Dof};
 use ftcal_shared::wire::health::{StatusBit, StatusWord};
 use ftcal_shared::wire::{ClockSource, HealthRequest, InvalidCause, Rejection, Request, Response};
+use ftcal_tests::truth::true_matrix;
 use nalgebra::{DMatrix, DVector, UnitVector3, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -173,7 +174,7 @@ fn a_gage_that_is_needed_cannot_be_left_out() {
     let sensor = random_sensor(Dof::SpatialForce, 3, 4);
     let bench = SharedBench::new(Bench::new(sensor.clone(), 1));
     let polled = PolledSensor::new(bench.clone(), Box::new(Bins::new()), ClockSource::Simulated);
-    let matrix = sensor.shape().clone().try_inverse().expect("of full rank").transpose();
+    let matrix = true_matrix(&sensor);
     let mut rig = Rig::<3, { higher_moment_count(3) }> { bench, polled, next_tick: 0, truth: sensor, matrix };
     let carry_on = |rig: &mut Rig<3, { higher_moment_count(3) }>, gage| {
         rig.ask(Request::Health(HealthRequest::CarryOn(Some(gage))))

@@ -15,9 +15,10 @@ use ftcal_shared::estimation::bins::Bins;
 use ftcal_shared::units::{DataRate, Gain};
 use ftcal_shared::wire::health::StatusWord;
 use ftcal_shared::wire::{
-    CalibrationUpload, ClockSource, GageList, HealthReport, HealthRequest, HealthResponse, Request, Response,
+    CalibrationUpload, ClockSource, HealthReport, HealthRequest, HealthResponse, Request, Response,
     StreamKind,
 };
+use ftcal_tests::truth::{true_calibration, true_matrix};
 use nalgebra::{DMatrix, DVector};
 
 /// Between two ticks, as on the board.
@@ -66,8 +67,7 @@ impl<const GAGES: usize, const HIGHER: usize> Rig<GAGES, HIGHER> {
             bench.hang(load);
             turn(bench);
         });
-        let shape = truth.shape();
-        let matrix = (shape * shape.transpose()).try_inverse().expect("of full rank") * shape;
+        let matrix = true_matrix(truth);
         let polled = PolledSensor::new(bench.clone(), Box::new(Bins::new()), ClockSource::Simulated);
         let mut rig = Self { bench, polled, next_tick: 0, truth: truth.clone(), matrix };
         rig.ask(Request::ConfigureAdc(rate, Gain::X128));
@@ -85,13 +85,7 @@ impl<const GAGES: usize, const HIGHER: usize> Rig<GAGES, HIGHER> {
     }
 
     pub(super) fn upload(&self) -> CalibrationUpload {
-        #[expect(clippy::cast_possible_truncation, reason = "this is the form in which it travels")]
-        let matrix = self.matrix.transpose().iter().map(|&element| element as f32).collect();
-        let bias_counts = GageList::from_slice(self.truth.bias_counts().as_slice()).expect("at most twelve");
-        let mut upload =
-            CalibrationUpload { dof: self.truth.dof(), gain: Gain::X128, bias_counts, matrix, identity: 0 };
-        upload.identity = upload.identity_of_numbers();
-        upload
+        true_calibration(&self.truth)
     }
 
     pub(super) fn ask(&mut self, request: Request) -> Response {

@@ -36,15 +36,6 @@ enum Head {
     Trial { number: u32, gages: usize },
 }
 
-impl Head {
-    const fn number(self) -> Option<u32> {
-        match self {
-            Self::Trial { number, .. } => Some(number),
-            Self::Blank | Self::Dead => None,
-        }
-    }
-}
-
 /// The newest trial of both sectors.
 pub(super) fn newest<Flash: NorFlash>(flash: &mut Flash) -> Result<Newest, StorageError> {
     Ok(match [head(flash, 0)?, head(flash, 1)?] {
@@ -81,7 +72,7 @@ pub(super) fn begin<Flash: NorFlash>(
 /// Has the trials that there are resumed no more. Nothing is to be done about a flash that fails; it fails on the next start, too.
 pub(super) fn bury<Flash: NorFlash>(flash: &mut Flash) {
     for side in 0..2 {
-        if head(flash, side).is_ok_and(|head| head.number().is_some()) {
+        if matches!(head(flash, side), Ok(Head::Trial { .. })) {
             for word in 0..HEAD_WORDS {
                 let _ = write_word(flash, side * SECTOR + HEAD + word * WORD, 0);
             }
