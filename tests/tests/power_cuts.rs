@@ -297,6 +297,7 @@ fn store_through_cuts(seed: u64, lives: u32) {
         let used = used.unwrap();
         assert_eq!((used.identity, used.identity_of_numbers()), (identity, identity), "cut {cut}");
 
+        let mut before = identity;
         if latest.is_zero() {
             // With an erase, a store, and what a rollback takes.
             let begin = Instant::now();
@@ -305,8 +306,10 @@ fn store_through_cuts(seed: u64, lives: u32) {
             patiently(|| client.store_calibration());
             patiently(|| client.roll_back());
             latest = begin.elapsed().mul_f64(LATEST_CUT);
+            // Whoever asks for a rollback a second time, because no answer came, has two of them.
+            before = patiently(|| client.read_calibration()).unwrap().identity;
         }
-        let candidates = Arc::new(Mutex::new(Candidates { before: identity, after: identity }));
+        let candidates = Arc::new(Mutex::new(Candidates { before, after: before }));
         let told = Arc::clone(&candidates);
         let first = 10 + 1000 * cut + rng.next_u32() % 1000;
         let writer = thread::spawn(move || write_until_cut(client, first, &told));
