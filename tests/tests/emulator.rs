@@ -175,7 +175,9 @@ fn a_trial_is_run_and_solved_and_wrenches_are_measured() {
         }
     }
     let status = client.status().unwrap();
-    assert_eq!((status.dropped_samples, status.broken_frames, client.broken_frames()), (0, 0, 0));
+    assert_eq!((status.dropped_samples, client.broken_frames()), (0, 0));
+    // A greeting that meets the board while it starts is broken, and one that meets a machine that stands still may be; each was repeated.
+    assert!(u64::from(status.broken_frames) <= client.repetitions(), "{} broken", status.broken_frames);
 
     // For tests/speed: after a trial, its solution and a stream, with every interrupt on top of each.
     let diagnosis = client.diagnosis().unwrap();

@@ -75,6 +75,11 @@ impl<Line: Transport> Client<Line> {
         self.conversation.broken_frames()
     }
 
+    /// How often no answer came in time, and the question was asked again or given up.
+    pub const fn repetitions(&self) -> u64 {
+        self.conversation.repetitions()
+    }
+
     /// Who are you?
     ///
     /// # Errors

@@ -61,6 +61,7 @@ pub(super) struct Conversation<Line: Transport> {
     dropped_samples: u64,
     received_bytes: u64,
     broken_frames: u64,
+    repetitions: u64,
     calibration: Option<KnownCalibration>,
     /// What the sensor's filter delays each wrench.
     filter_delay: Duration,
@@ -99,6 +100,7 @@ impl<Line: Transport> Conversation<Line> {
             dropped_samples: 0,
             received_bytes: 0,
             broken_frames: 0,
+            repetitions: 0,
             calibration: None,
             filter_delay: Duration::ZERO,
         }
@@ -122,6 +124,11 @@ impl<Line: Transport> Conversation<Line> {
     /// Frames that came broken.
     pub(super) const fn broken_frames(&self) -> u64 {
         self.broken_frames
+    }
+
+    /// How often no answer came in time, and the question was asked again or given up.
+    pub(super) const fn repetitions(&self) -> u64 {
+        self.repetitions
     }
 
     /// The baud rate.
@@ -275,6 +282,7 @@ impl<Line: Transport> Conversation<Line> {
             if let Some(arrived) = self.wait_until(awaited, until)? {
                 return Ok(arrived);
             }
+            self.repetitions += 1;
             if self.baud != DEFAULT_BAUD && self.line.elapsed() >= last {
                 // The sensor has been at its usual rate for a while if it has not heard anything.
                 self.fall_back()?;
