@@ -18,7 +18,7 @@ use ftcal_shared::fault::AdcFault;
 use ftcal_shared::units::{AdcCode, DeviceTime, SampleIndex};
 use ftcal_shared::wire::AdcState;
 
-use crate::adc::{Ads131m08, CHANNELS, ChannelMask, Input, Status};
+use crate::adc::{Ads131m08, ChannelMask, Input, Status};
 use crate::handover::{Orders, Reading, Report};
 use crate::health::{Injector, InputWatch, is_disturbance};
 use crate::tunnel::{ANSWER_MICROS, UNHANDLED_MICROS};
@@ -101,6 +101,8 @@ pub struct Acquisition<Spi, const GAGES: usize> {
     in_doubt: bool,
     /// Conversions were lost or thrown away since the last sample.
     after_gap: bool,
+    /// What was read last: made where it stands, since to move it costs as much as to make it.
+    reading: Reading<GAGES>,
 }
 
 impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
@@ -124,6 +126,7 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
             until_question: 0,
             in_doubt: false,
             after_gap: false,
+            reading: Reading::NONE,
         }
     }
 
@@ -200,17 +203,15 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
     ///
     /// Where the reading bears a fault, this conversion is unusable. One disturbed reply is counted and forgiven; the state turns to
     /// [`AdcState::Faulty`] as described above.
-    pub fn on_data_ready(&mut self, now: DeviceTime, announced: DeviceTime) -> Option<Reading<GAGES>> {
+    pub fn on_data_ready(&mut self, now: DeviceTime, announced: DeviceTime) -> Option<&Reading<GAGES>> {
         if self.state != AdcState::Running || self.orders.ignore_data_ready {
             return None;
         }
-        let mut reading = Reading::new(announced, now, self.orders.era);
-        let fault = self.read(announced, &mut reading.sample).err();
+        let fault = self.read(announced).err();
         self.last_read = Some(now);
         self.last_announced = Some(announced);
-        reading.index = self.next_index;
-        self.next_index = reading.index.next();
-        reading.fault = fault;
+        let index = self.next_index;
+        self.next_index = index.next();
         if let Some(fault) = fault {
             self.after_gap = true;
             self.counters.corrupted = self.counters.corrupted.wrapping_add(1);
@@ -222,59 +223,59 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
             self.corrupted_run = 0;
             self.silent = false;
             self.counters.read = self.counters.read.wrapping_add(1);
-            reading.sample.after_gap = core::mem::take(&mut self.after_gap);
+            self.reading.sample.after_gap = core::mem::take(&mut self.after_gap);
         }
+        let reading = &mut self.reading;
+        (reading.fault, reading.index, reading.era) = (fault, index, self.orders.era);
+        (reading.announced, reading.read_at) = (announced, now);
         Some(reading)
     }
 
     /// Reads the newest conversion, and which gages repeat themselves. The converter keeps up to two conversions for a reader that is
     /// late. After a pause, or where a read has failed, the older one is passed over, or every sample from then on would be one
     /// conversion old.
-    fn read(&mut self, announced: DeviceTime, sample: &mut Sample<GAGES>) -> Result<(), AdcFault> {
-        let mut codes = [AdcCode::ZERO; CHANNELS];
+    fn read(&mut self, announced: DeviceTime) -> Result<(), AdcFault> {
+        self.reading.sample.repeating = 0;
         let is_late = self.count_lost_before(announced) > 0;
         self.after_gap |= is_late;
         // A frame that was not read well may have left in the converter what it was to carry.
         let may_lag = self.corrupted_run > 0 && !self.in_doubt;
         if is_late || may_lag {
-            self.read_past_backlog(&mut codes)?;
+            self.read_past_backlog()?;
         } else {
             let ask = self.is_to_be_asked();
-            match self.adc.read_codes(ask, &mut codes)? {
+            match self.adc.read_codes(ask, &mut self.reading.sample.codes)? {
                 // It was asked who it is, and has said so in time.
                 None => self.in_doubt = false,
                 Some(status) if !Self::is_new(status) => return Err(AdcFault::StaleConversion),
                 Some(_) => {}
             }
         }
-        for (code, read) in sample.codes.iter_mut().zip(&codes) {
-            *code = *read;
-        }
         if self.orders.settings.input != Input::Pins {
             // The converter's own signals are as still as they are.
             return Ok(());
         }
-        let repetition = self.inputs.push(&sample.codes);
+        let repetition = self.inputs.push(&self.reading.sample.codes);
         if repetition.of_all {
             self.in_doubt = true;
             self.until_question = 0;
         }
-        sample.repeating = repetition.lasting;
+        self.reading.sample.repeating = repetition.lasting;
         if self.in_doubt { Err(AdcFault::StaleConversion) } else { Ok(()) }
     }
 
     /// The newer of what the converter keeps: the second frame where that is new, else the first.
     #[cold]
-    fn read_past_backlog(&mut self, codes: &mut [AdcCode; CHANNELS]) -> Result<(), AdcFault> {
-        let first = self.adc.read_codes(false, codes)?;
+    fn read_past_backlog(&mut self) -> Result<(), AdcFault> {
+        let first = self.adc.read_codes(false, &mut self.reading.sample.codes)?;
         if first.is_none() {
             // It was asked who it is, and has said so in time.
             self.in_doubt = false;
         }
-        let mut newer = [AdcCode::ZERO; CHANNELS];
+        let mut newer = [AdcCode::ZERO; GAGES];
         let second = self.adc.read_codes(false, &mut newer)?;
         if second.is_some_and(Self::is_new) {
-            *codes = newer;
+            self.reading.sample.codes = newer;
             Ok(())
         } else if first.is_none_or(Self::is_new) {
             Ok(())

@@ -39,10 +39,14 @@ pub struct Reading<const GAGES: usize> {
 
 impl<const GAGES: usize> Reading<GAGES> {
     /// A reading still to be made.
-    pub(crate) const fn new(announced: DeviceTime, read_at: DeviceTime, era: u8) -> Self {
-        let sample = Sample { codes: [AdcCode::ZERO; GAGES], repeating: 0, after_gap: false };
-        Self { sample, fault: None, index: SampleIndex::new(0), announced, read_at, era }
-    }
+    pub(crate) const NONE: Self = Self {
+        sample: Sample { codes: [AdcCode::ZERO; GAGES], repeating: 0, after_gap: false },
+        fault: None,
+        index: SampleIndex::new(0),
+        announced: DeviceTime::from_micros(0),
+        read_at: DeviceTime::from_micros(0),
+        era: 0,
+    };
 
     /// The sample, or why this conversion is none.
     ///

@@ -244,7 +244,7 @@ mod app {
             let reading =
                 context.local.data_ready.handle(now, |announced| acquisition.on_data_ready(now, announced));
             if let Some(reading) = reading.flatten()
-                && readings.enqueue(reading).is_err()
+                && readings.enqueue(*reading).is_err()
             {
                 acquisition.note_overrun();
             }
@@ -296,14 +296,16 @@ mod app {
         let is_shedding = context.local.is_shedding;
         sensor.lock(|sensor| {
             let mut in_a_row = 0;
-            while let Some(reading) = context.local.readings_out.dequeue() {
+            // It is worked off where it stands.
+            while let Some(reading) = context.local.readings_out.peek() {
                 if *is_shedding {
                     acquisition.lock(Acquisition::note_overrun);
-                    continue;
+                } else {
+                    queue(sensor.take_in(reading, time_base::now()));
+                    in_a_row += 1;
+                    *is_shedding = in_a_row > READING_QUEUE;
                 }
-                queue(sensor.take_in(&reading, time_base::now()));
-                in_a_row += 1;
-                *is_shedding = in_a_row > READING_QUEUE;
+                let _ = context.local.readings_out.dequeue();
             }
             if has_ticked.swap(false, Ordering::Acquire) {
                 *is_shedding = false;

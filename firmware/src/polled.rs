@@ -67,6 +67,6 @@ where
     /// See [`Acquisition::on_data_ready`] and [`Sensor::take_in`].
     pub fn on_data_ready(&mut self, now: DeviceTime, announced: DeviceTime) -> Option<Moment> {
         let reading = self.acquisition.on_data_ready(now, announced)?;
-        self.sensor.take_in(&reading, now)
+        self.sensor.take_in(reading, now)
     }
 }

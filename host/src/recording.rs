@@ -145,7 +145,7 @@ impl Recording {
 
     /// The samples that are measurements: those with no code at an end of the converter's range.
     pub fn unsaturated(&self) -> impl Iterator<Item = (f64, &[AdcCode])> {
-        self.samples().filter(|(_, codes)| !is_saturated(codes))
+        self.samples().filter(|(_, codes)| !AdcCode::any_is_saturated(codes))
     }
 
     /// The p codes of one sample in counts of the recording.
@@ -191,11 +191,6 @@ impl Recording {
             quantisation: self.quantisation.clone(),
         })
     }
-}
-
-/// Whether any channel of a sample stood at an end of the converter's range.
-pub fn is_saturated(codes: &[AdcCode]) -> bool {
-    codes.iter().any(|code| code.is_saturated())
 }
 
 /// A file, for the words of an error.

@@ -51,12 +51,14 @@ pub struct Ads131m08<Spi> {
     settings: Option<AdcSettings>,
     /// The frame before asked who the converter is.
     asked: bool,
+    /// What came last in continuous reading: kept, because to clear it for every frame takes as long as to take it apart.
+    received: Frame,
 }
 
 impl<Spi: SpiDevice<u8>> Ads131m08<Spi> {
     /// A driver that has yet to talk to its converter: see [`Ads131m08::start`].
     pub const fn new(spi: Spi) -> Self {
-        Self { spi, settings: None, asked: false }
+        Self { spi, settings: None, asked: false, received: BLANK_FRAME }
     }
 
     /// The bus.
@@ -131,22 +133,17 @@ impl<Spi: SpiDevice<u8>> Ads131m08<Spi> {
         Ok(Conversion { status, codes })
     }
 
-    /// As [`Ads131m08::read_conversion`], for the sample path: the codes are written where they are to be, and the status comes alone. To
-    /// move a whole [`Conversion`] inside of a result costs as much as to check it. With `ask` the frame asks the converter who it is; the
-    /// next read, whichever it is, makes sure that it says so, and has no status.
+    /// As [`Ads131m08::read_conversion`], for the sample path: the codes of the first channels are written where they are to be, as many as
+    /// there is room for, and the status comes alone. To move a whole [`Conversion`] inside of a result costs as much as to check it.
+    /// With `ask` the frame asks the converter who it is; the next read, whichever it is, makes sure that it says so, and has no status.
     ///
     /// # Errors
     /// As [`Ads131m08::read_conversion`]; the codes are undefined then. The read after a question also reports
     /// [`AdcFault::WrongIdentity`], and [`AdcFault::UnexpectedReply`] where the answer is not there in time.
-    pub fn read_codes(
-        &mut self,
-        ask: bool,
-        codes: &mut [AdcCode; CHANNELS],
-    ) -> Result<Option<Status>, AdcFault> {
+    pub fn read_codes(&mut self, ask: bool, codes: &mut [AdcCode]) -> Result<Option<Status>, AdcFault> {
         let asked = core::mem::replace(&mut self.asked, ask);
-        let mut received = BLANK_FRAME;
-        self.exchange(if ask { &ASKING_FRAME } else { &NULL_FRAME }, &mut received)?;
-        let Reply { response, channels } = Reply::open(&received)?;
+        exchange(&mut self.spi, if ask { &ASKING_FRAME } else { &NULL_FRAME }, &mut self.received)?;
+        let Reply { response, channels } = Reply::open(&self.received)?;
         let status = if asked {
             check_answer(response)?;
             None
@@ -157,7 +154,13 @@ impl<Spi: SpiDevice<u8>> Ads131m08<Spi> {
             }
             Some(status)
         };
-        for (code, bytes) in codes.iter_mut().zip(channels) {
+        let (pairs, rest) = codes.as_chunks_mut::<2>();
+        let (pairs_of_bytes, _) = channels.as_chunks::<2>();
+        // Written out: the compiler unrolls nothing where it is to save room.
+        for ([a, b], [of_a, of_b]) in pairs.iter_mut().zip(pairs_of_bytes) {
+            (*a, *b) = (AdcCode::from_be_bytes(*of_a), AdcCode::from_be_bytes(*of_b));
+        }
+        for (code, bytes) in rest.iter_mut().zip(channels.iter().skip(2 * pairs.len())) {
             *code = AdcCode::from_be_bytes(*bytes);
         }
         Ok(status)
@@ -178,10 +181,10 @@ impl<Spi: SpiDevice<u8>> Ads131m08<Spi> {
     fn reset(&mut self, delay: &mut impl DelayNs) -> Result<(), AdcFault> {
         // What comes back in these two frames answers commands sent before this start, if any.
         let mut frame = BLANK_FRAME;
-        self.exchange(&Command::Unlock.frame(), &mut frame)?;
-        self.exchange(&Command::Reset.frame(), &mut frame)?;
+        exchange(&mut self.spi, &Command::Unlock.frame(), &mut frame)?;
+        exchange(&mut self.spi, &Command::Reset.frame(), &mut frame)?;
         delay.delay_us(RESET_US);
-        self.exchange(&NULL_FRAME, &mut frame)?;
+        exchange(&mut self.spi, &NULL_FRAME, &mut frame)?;
         // Before the checksum: the smaller members of the family have theirs in an earlier word.
         if let Some(id) = other_family_member(&frame) {
             return Err(AdcFault::WrongIdentity { id });
@@ -233,15 +236,15 @@ impl<Spi: SpiDevice<u8>> Ads131m08<Spi> {
     /// Sends a command, and a NULL command to fetch its response, which comes one frame late.
     fn response_to(&mut self, command: Command) -> Result<u16, AdcFault> {
         let mut received = BLANK_FRAME;
-        self.exchange(&command.frame(), &mut received)?;
-        self.exchange(&NULL_FRAME, &mut received)?;
+        exchange(&mut self.spi, &command.frame(), &mut received)?;
+        exchange(&mut self.spi, &NULL_FRAME, &mut received)?;
         Ok(Reply::open(&received)?.response)
     }
+}
 
-    /// One chip-select frame. What is received is unchecked.
-    fn exchange(&mut self, sent: &Frame, received: &mut Frame) -> Result<(), AdcFault> {
-        self.spi.transfer(received.as_flattened_mut(), sent.as_flattened()).map_err(|_| AdcFault::Bus)
-    }
+/// One chip-select frame. What is received is unchecked.
+fn exchange<Spi: SpiDevice<u8>>(spi: &mut Spi, sent: &Frame, received: &mut Frame) -> Result<(), AdcFault> {
+    spi.transfer(received.as_flattened_mut(), sent.as_flattened()).map_err(|_| AdcFault::Bus)
 }
 
 /// Nothing received yet.

@@ -87,6 +87,8 @@ pub struct Health<const GAGES: usize> {
     chi_square: Option<f32>,
     /// What was made of the last sample that made one.
     wrench: [f32; MAX_DOF],
+    /// What the last wrench was made of, counts: kept, because to clear it for every sample takes as long as to fill it.
+    signal: [f32; GAGES],
     parity: Option<ParityMonitor<GAGES>>,
     loads: LoadWatch,
     tare: Tare,
@@ -112,6 +114,7 @@ impl<const GAGES: usize> Health<GAGES> {
             left_out: None,
             chi_square: None,
             wrench: [0.0; MAX_DOF],
+            signal: [0.0; GAGES],
             parity: None,
             loads: LoadWatch::new(),
             tare: Tare::new(),
@@ -235,9 +238,9 @@ impl<const GAGES: usize> Health<GAGES> {
         calibration: &RealTimeCalibration<GAGES>,
         sample: &Sample<GAGES>,
     ) -> Result<(), InvalidCause> {
-        let signal = calibration.signal(&sample.codes);
+        calibration.read_signal(&sample.codes, &mut self.signal);
         if let Some(monitor) = &mut self.parity {
-            let judged = monitor.judge(&signal);
+            let judged = monitor.judge(&self.signal);
             self.chi_square = monitor.is_watching().then_some(judged.chi_square);
             self.live = self
                 .live
@@ -248,7 +251,7 @@ impl<const GAGES: usize> Health<GAGES> {
                 return Err(InvalidCause::GagesContradict);
             }
         }
-        let load = calibration.wrench(&signal);
+        let load = calibration.wrench(&self.signal);
         self.wrench = self.tare.subtracted(&load);
         if !self.is_testing() {
             self.live = self.live.union(self.loads.judge(calibration.dof(), &load, &self.wrench));

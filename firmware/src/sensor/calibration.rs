@@ -102,5 +102,9 @@ pub(super) fn prepared<const GAGES: usize>(
 
 /// Which channels stand at an end of their range: bit k for gage k.
 fn saturated_channels<const GAGES: usize>(codes: &[AdcCode; GAGES]) -> u16 {
+    // Rarely is any.
+    if !AdcCode::any_is_saturated(codes) {
+        return 0;
+    }
     codes.iter().enumerate().fold(0, |mask, (gage, code)| mask | (u16::from(code.is_saturated()) << gage))
 }

@@ -6,12 +6,13 @@
 use std::iter;
 
 use ftcal_shared::refusal::Refusal;
+use ftcal_shared::units::AdcCode;
 use nalgebra::DVector;
 use serde::Serialize;
 
 use super::matrix::matrix_of_shape;
 use super::trial::TrialShape;
-use crate::recording::{Recording, is_saturated};
+use crate::recording::Recording;
 
 /// The recovered directions of a trial's load, in the order of the samples.
 #[derive(Clone, Debug)]
@@ -42,7 +43,7 @@ pub fn recover(recording: &Recording, trial: &TrialShape) -> Result<Motion, Refu
     let mut quiet = Vec::with_capacity(recording.len());
     let taken = trial.taken.iter().copied().chain(iter::repeat(true));
     for ((_, codes), taken) in recording.samples().zip(taken) {
-        if is_saturated(codes) {
+        if AdcCode::any_is_saturated(codes) {
             continue;
         }
         let direction = &matrix * (recording.counts(codes) - &trial.bias_counts);

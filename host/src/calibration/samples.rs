@@ -9,7 +9,7 @@ use ftcal_shared::units::AdcCode;
 use ftcal_shared::wire::{Solution, TrialStatus};
 use serde::{Deserialize, Serialize};
 
-use crate::recording::{Recording, is_saturated};
+use crate::recording::Recording;
 
 /// Why a sample takes no part.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -134,7 +134,7 @@ pub fn gated<const GAGES: usize>(
 /// The same past the gate: every sample that is not saturated counts as one of a load at rest.
 pub fn ungated(recording: &Recording) -> Vec<Outcome> {
     let outcome = |codes| {
-        if is_saturated(codes) {
+        if AdcCode::any_is_saturated(codes) {
             Outcome::Rejected(Rejection::Saturated)
         } else {
             Outcome::Measured(Quietness::Still)

@@ -12,7 +12,7 @@ use super::{Failure, Streams};
 use crate::calibration::Calibration;
 use crate::calibration::wrench_uncertainty::WrenchUncertainty;
 use crate::calibration_file;
-use crate::recording::{Recording, is_saturated, shown};
+use crate::recording::{Recording, shown};
 use crate::remedy;
 
 /// Turn a recording into forces and torques
@@ -149,7 +149,7 @@ pub fn write_wrenches(
     let mut saturated = 0;
     for (time_s, codes) in recording.samples() {
         write!(out, "{time_s}")?;
-        if is_saturated(codes) {
+        if AdcCode::any_is_saturated(codes) {
             saturated += 1;
             write!(out, "{}", ",".repeat(fields))?;
         } else {

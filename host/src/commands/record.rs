@@ -4,7 +4,7 @@ use std::io::{IsTerminal, Write, stderr};
 use std::path::PathBuf;
 
 use clap::Args;
-use ftcal_shared::units::{DataRate, Gain};
+use ftcal_shared::units::{AdcCode, DataRate, Gain};
 use ftcal_shared::wire::{Status, StreamKind};
 
 use super::capture::{Amount, Place, capture};
@@ -15,7 +15,6 @@ use crate::gain;
 use crate::link::client::Client;
 use crate::link::frame::Frame;
 use crate::link::transport::Transport;
-use crate::recording::is_saturated;
 use crate::recording::writer::RecordingWriter;
 
 /// Seconds of the recording between two reports of progress.
@@ -97,7 +96,7 @@ fn record<Line: Transport>(
     let tally = capture(client, StreamKind::Codes, amount, |Place { time_s, .. }, frame| {
         let Frame::Codes(frame) = frame else { return Ok(()) };
         writer.sample(time_s, &frame.codes)?;
-        saturated += u64::from(is_saturated(&frame.codes));
+        saturated += u64::from(AdcCode::any_is_saturated(&frame.codes));
         last_s = time_s;
         if progress && time_s >= next_report_s {
             write!(words, "\r{time_s:.1} s")?;

@@ -77,7 +77,7 @@ impl<W: Write> RecordingWriter<W> {
 pub fn write(recording: &Recording, out: impl Write) -> io::Result<()> {
     let mut writer = RecordingWriter::new(out, recording.gages(), recording.gain())?;
     for (time_s, codes) in recording.samples() {
-        if recording.quantisation().is_exact() || super::is_saturated(codes) {
+        if recording.quantisation().is_exact() || AdcCode::any_is_saturated(codes) {
             writer.sample(time_s, codes)?;
         } else {
             writer.row(time_s, recording.counts(codes).iter())?;

@@ -104,12 +104,11 @@ impl<const GAGES: usize> RealTimeCalibration<GAGES> {
         }
     }
 
-    /// What the gages read beyond their bias, counts. The fraction of the bias is not in it.
+    /// Writes down what the gages read beyond their bias, counts. The fraction of the bias is not in it.
     #[inline]
-    pub fn signal(&self, codes: &[AdcCode; GAGES]) -> [f32; GAGES] {
+    pub fn read_signal(&self, codes: &[AdcCode; GAGES], signal: &mut [f32; GAGES]) {
         // Of two numbers of 24 bits: exact, or rounded by 2⁻²⁵ of its value.
         let difference = |code: &AdcCode, pivot: &f32| code.counts() as f32 - pivot;
-        let mut signal = [0.0; GAGES];
         let (fours, rest) = signal.as_chunks_mut::<4>();
         let ((code_fours, code_rest), (pivot_fours, pivot_rest)) =
             (codes.as_chunks::<4>(), self.pivot.as_chunks::<4>());
@@ -120,7 +119,6 @@ impl<const GAGES: usize> RealTimeCalibration<GAGES> {
         for ((element, code), pivot) in rest.iter_mut().zip(code_rest).zip(pivot_rest) {
             *element = difference(code, pivot);
         }
-        signal
     }
 
     /// The wrench of a signal, in the sensor frame: newton and newton metre in the order of [`Dof::axes`]; elements beyond the
@@ -142,7 +140,9 @@ impl<const GAGES: usize> RealTimeCalibration<GAGES> {
 
     /// The wrench of one sample.
     pub fn apply(&self, codes: &[AdcCode; GAGES]) -> [f32; MAX_DOF] {
-        self.wrench(&self.signal(codes))
+        let mut signal = [0.0; GAGES];
+        self.read_signal(codes, &mut signal);
+        self.wrench(&signal)
     }
 }
 

@@ -99,7 +99,7 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
     ///
     /// [`Refusal::OverflowAhead`] where the sums are full; what they hold stays good.
     pub fn offer_ungated(&mut self, codes: &[AdcCode; GAGES]) -> Result<Verdict, Refusal> {
-        if codes.iter().any(|code| code.is_saturated()) {
+        if AdcCode::any_is_saturated(codes) {
             return Ok(Verdict::Saturated);
         }
         push(&mut self.by_quietness, &mut self.full, Quietness::Still, codes);

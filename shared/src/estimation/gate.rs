@@ -300,7 +300,7 @@ impl<const GAGES: usize> Gate<GAGES> {
             self.release(number, number + REACH);
         }
         self.hand_out_next(take);
-        if codes.iter().any(|code| code.is_saturated()) {
+        if AdcCode::any_is_saturated(codes) {
             return Verdict::Saturated;
         }
         if self.repeats(codes) && self.is_suspicious() {

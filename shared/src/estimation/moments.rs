@@ -211,11 +211,12 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
             return Err(Refusal::OverflowAhead { samples: self.codes.count });
         }
         let batch = &mut self.batches[self.filling];
-        let (half, lane) = (batch.samples / HALF, batch.samples % HALF);
+        // Of which the compiler, too, knows that there is room.
+        let place = batch.samples % BATCH;
         for gage in 0..GAGES {
             let difference = codes[gage].counts() - self.codes.pivot[gage].counts();
-            batch.difference[gage][half][lane] = difference;
-            batch.rounded[gage][half][lane] = difference as f32 * (1.0 / UNIT);
+            batch.difference[gage].as_flattened_mut()[place] = difference;
+            batch.rounded[gage].as_flattened_mut()[place] = difference as f32 * (1.0 / UNIT);
         }
         batch.samples += 1;
         let full = batch.samples == BATCH;

@@ -54,7 +54,58 @@ impl AdcCode {
 
     /// Whether the converter stood at an end of its range.
     pub const fn is_saturated(self) -> bool {
-        // The complement of the least code is the largest: so both ends are one number.
-        self.0 ^ (self.0 >> (i32::BITS - 1)) == Self::MAX.0
+        self.successor_of_magnitude() & Self::BEYOND_MAX != 0
+    }
+
+    /// Whether any of these is.
+    #[inline]
+    pub fn any_is_saturated(codes: &[Self]) -> bool {
+        let (fours, rest) = codes.as_chunks::<4>();
+        let mut all = 0;
+        // Written out: the compiler unrolls nothing where it is to save room.
+        for [a, b, c, d] in fours {
+            all |= a.successor_of_magnitude()
+                | b.successor_of_magnitude()
+                | c.successor_of_magnitude()
+                | d.successor_of_magnitude();
+        }
+        for code in rest {
+            all |= code.successor_of_magnitude();
+        }
+        all & Self::BEYOND_MAX != 0
+    }
+
+    /// One more than the largest code: a bit that no code within the range has in [`AdcCode::successor_of_magnitude`].
+    const BEYOND_MAX: i32 = Self::MAX.0 + 1;
+
+    /// One more than the code or its complement, whichever is not negative. The complement of the least code is the largest, so both ends
+    /// of the range are one number.
+    const fn successor_of_magnitude(self) -> i32 {
+        (self.0 ^ (self.0 >> (i32::BITS - 1))) + 1
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use std::vec::Vec;
+
+    use super::AdcCode;
+
+    #[test]
+    fn of_any_number_of_codes_one_that_is_saturated_is_found() {
+        let within = [AdcCode(AdcCode::MIN.0 + 1), AdcCode(-1), AdcCode::ZERO, AdcCode(AdcCode::MAX.0 - 1)];
+        for count in 0..=12 {
+            let codes: Vec<AdcCode> = within.into_iter().cycle().take(count).collect();
+            assert!(!AdcCode::any_is_saturated(&codes));
+            for place in 0..count {
+                for end in [AdcCode::MIN, AdcCode::MAX] {
+                    let mut codes = codes.clone();
+                    codes[place] = end;
+                    assert!(AdcCode::any_is_saturated(&codes), "{end:?} at {place} of {count}");
+                }
+            }
+        }
     }
 }

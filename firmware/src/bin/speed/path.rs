@@ -67,6 +67,7 @@ pub(crate) fn measure(counter: &Counter, bins: &'static mut Bins<GAGES, HIGHER>)
     ask(&mut sensor, Request::Stream(StreamKind::Wrench));
 
     let mut readings = Queue::<Reading<GAGES>, 16>::new();
+    let (mut readings_in, mut readings_out) = readings.split();
     let mut moments = Queue::<Moment, 32>::new();
     let mut batcher = Batcher::new();
     let (mut alone, mut with_trial, mut framing, mut held) =
@@ -84,14 +85,15 @@ pub(crate) fn measure(counter: &Counter, bins: &'static mut Bins<GAGES, HIGHER>)
         let path = ticks(|| {
             let reading = acquisition.on_data_ready(black_box(now), black_box(now));
             if let Some(reading) = reading
-                && readings.enqueue(reading).is_err()
+                && readings_in.enqueue(*reading).is_err()
             {
                 acquisition.note_overrun();
             }
-            while let Some(reading) = readings.dequeue() {
-                if let Some(moment) = sensor.take_in(&reading, now) {
+            while let Some(reading) = readings_out.peek() {
+                if let Some(moment) = sensor.take_in(reading, now) {
                     let _ = moments.enqueue(moment);
                 }
+                let _ = readings_out.dequeue();
             }
         });
         wrenches += moments.len();
