@@ -7,7 +7,7 @@ use std::env;
 use std::path::PathBuf;
 
 /// The features that name a board.
-const BOARDS: [&str; 3] = ["feather-stm32f405", "olimex-stm32-h405", "emulated"];
+const BOARDS: &[&str] = &["feather-stm32f405", "olimex-stm32-h405", "emulated"];
 
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");
@@ -16,7 +16,7 @@ fn main() {
         return;
     }
     // The measurement of speed has no board.
-    let chosen = BOARDS.into_iter().filter(|board| is_on(board)).count();
+    let chosen = BOARDS.iter().filter(|board| is_on(board)).count();
     if chosen != 1 && !is_on("speed") {
         println!(
             "cargo::error=name the one board that the image is for: --features and one of {}",

@@ -101,7 +101,7 @@ pub struct Acquisition<Spi, const GAGES: usize> {
     in_doubt: bool,
     /// Conversions were lost or thrown away since the last sample.
     after_gap: bool,
-    /// What was read last: made where it stands, since to move it costs as much as to make it.
+    /// What was read last: made where it stands, and copied once, into the queue.
     reading: Reading<GAGES>,
 }
 

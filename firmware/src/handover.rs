@@ -24,7 +24,7 @@ use crate::health::Injection;
 /// What became of one conversion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reading<const GAGES: usize> {
-    /// Not to be looked at where there was a fault: see [`Reading::outcome`].
+    /// Left over from some conversion before where there was a fault, and not to be looked at then: see [`Reading::outcome`].
     pub(crate) sample: Sample<GAGES>,
     pub(crate) fault: Option<AdcFault>,
     /// Number of the conversion; lost and corrupted conversions have taken a number, too.
@@ -38,10 +38,10 @@ pub struct Reading<const GAGES: usize> {
 }
 
 impl<const GAGES: usize> Reading<GAGES> {
-    /// A reading still to be made.
+    /// A reading still to be made: no sample.
     pub(crate) const NONE: Self = Self {
         sample: Sample { codes: [AdcCode::ZERO; GAGES], repeating: 0, after_gap: false },
-        fault: None,
+        fault: Some(AdcFault::NotResponding),
         index: SampleIndex::new(0),
         announced: DeviceTime::from_micros(0),
         read_at: DeviceTime::from_micros(0),

@@ -41,8 +41,9 @@ pub const MAX_TRANSFER: usize = 64;
 /// How long the board waits for the answer to a transfer: milliseconds on a machine that has nothing else to do.
 pub const ANSWER_MICROS: u64 = 400_000;
 
-/// How often the board asks the flash before that counts as an error of the flash: half a minute, for the flash of a board answers
-/// always, and a machine that stands still for a while is no reason to find a memory unreadable.
+/// How often the board asks the flash one question before that counts as an error of the flash: half a minute, for the flash of a board
+/// answers always, and a machine that stands still for a while is no reason to find a memory unreadable. (What is read at the start is
+/// asked for three times over: without anybody at the other end, that takes minutes.)
 pub const FLASH_ATTEMPTS: u32 = 75;
 
 /// The most bytes of the flash in one message.

@@ -1,18 +1,19 @@
 //! What a simulated sensor would be told if everything were known of it.
 
-use ftcal::calibration::matrix::matrix_of_shape;
 use ftcal::simulator::sensor::SoftwareSensor;
 use ftcal_shared::units::Gain;
 use ftcal_shared::wire::{CalibrationUpload, GageList};
 use nalgebra::DMatrix;
 
-/// The least squares of the true shape (m × p), newton and newton metre per count.
+/// The least squares of the true shape (m × p), newton and newton metre per count. From the definition, and not from the product's own
+/// function for it.
 ///
 /// # Panics
 ///
 /// Where a degree of freedom is not felt.
 pub fn true_matrix(sensor: &SoftwareSensor) -> DMatrix<f64> {
-    matrix_of_shape(sensor.shape()).expect("of full rank")
+    let shape = sensor.shape();
+    (shape * shape.transpose()).try_inverse().expect("of full rank") * shape
 }
 
 /// The sensor's true calibration, as the sensor takes it.

@@ -308,6 +308,7 @@ fn store_through_cuts(seed: u64, lives: u32) {
             latest = begin.elapsed().mul_f64(LATEST_CUT);
             // Whoever asks for a rollback a second time, because no answer came, has two of them.
             before = patiently(|| client.read_calibration()).unwrap().identity;
+            assert!([identity, calibration(2).identity].contains(&before), "cut {cut}: {before:x}");
         }
         let candidates = Arc::new(Mutex::new(Candidates { before, after: before }));
         let told = Arc::clone(&candidates);

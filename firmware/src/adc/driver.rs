@@ -44,7 +44,8 @@ pub struct Conversion {
 
 /// An ADS131M08 behind its chip-select.
 ///
-/// The bus must be in SPI mode 1, and must hold chip-select for the whole of a transfer.
+/// The bus must be in SPI mode 1, and must hold chip-select for the whole of a transfer. It must have filled what it says it has
+/// received: what it left out would be of the frame before.
 #[derive(Debug)]
 pub struct Ads131m08<Spi> {
     spi: Spi,
@@ -134,8 +135,9 @@ impl<Spi: SpiDevice<u8>> Ads131m08<Spi> {
     }
 
     /// As [`Ads131m08::read_conversion`], for the sample path: the codes of the first channels are written where they are to be, as many as
-    /// there is room for, and the status comes alone. To move a whole [`Conversion`] inside of a result costs as much as to check it.
-    /// With `ask` the frame asks the converter who it is; the next read, whichever it is, makes sure that it says so, and has no status.
+    /// there is room for (what is beyond the channels stays as it was), and the status comes alone. To move a whole [`Conversion`]
+    /// inside of a result costs as much as to check it. With `ask` the frame asks the converter who it is; the next read, whichever it
+    /// is, makes sure that it says so, and has no status.
     ///
     /// # Errors
     /// As [`Ads131m08::read_conversion`]; the codes are undefined then. The read after a question also reports

@@ -87,7 +87,7 @@ pub struct Health<const GAGES: usize> {
     chi_square: Option<f32>,
     /// What was made of the last sample that made one.
     wrench: [f32; MAX_DOF],
-    /// What the last wrench was made of, counts: kept, because to clear it for every sample takes as long as to fill it.
+    /// The signal of the last sample that a calibration was applied to, counts: to clear it for every sample would take as long as to fill it.
     signal: [f32; GAGES],
     parity: Option<ParityMonitor<GAGES>>,
     loads: LoadWatch,

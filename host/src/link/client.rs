@@ -62,22 +62,23 @@ impl<Line: Transport> Client<Line> {
     /// Samples that are missing between those that were taken, since the stream was started last: lost by the converter, by the
     /// sensor or on the line, or dropped because nobody took them in time.
     pub const fn lost_samples(&self) -> u64 {
-        self.conversation.lost_samples()
+        self.conversation.tally().lost_samples
     }
 
     /// Samples that came and were dropped because nobody took them in time.
     pub const fn dropped_samples(&self) -> u64 {
-        self.conversation.dropped_samples()
+        self.conversation.tally().dropped_samples
     }
 
     /// Frames that came broken.
     pub const fn broken_frames(&self) -> u64 {
-        self.conversation.broken_frames()
+        self.conversation.tally().broken_frames
     }
 
-    /// How often no answer came in time, and the question was asked again or given up.
+    /// How often no answer came in time, and the question was asked again or given up: for whoever has to tell a sensor that is slow to
+    /// answer, as one that solves a trial is, from a line that loses requests.
     pub const fn repetitions(&self) -> u64 {
-        self.conversation.repetitions()
+        self.conversation.tally().repetitions
     }
 
     /// Who are you?

@@ -20,6 +20,7 @@ use ftcal_shared::wire::{
 use super::continuity::Continuity;
 use super::error::{ClientError, LinkError};
 use super::frame::{Frame, KnownCalibration, WrenchSample};
+use super::tally::Tally;
 use super::transport::Transport;
 
 /// How long the greeting may take: a sensor that was left at another rate finds back within five seconds, hears the next
@@ -57,11 +58,7 @@ pub(super) struct Conversation<Line: Transport> {
     /// What will be streamed from the response to this request on.
     next_stream: Option<(RequestId, StreamKind)>,
     continuity: Continuity,
-    lost_samples: u64,
-    dropped_samples: u64,
-    received_bytes: u64,
-    broken_frames: u64,
-    repetitions: u64,
+    tally: Tally,
     calibration: Option<KnownCalibration>,
     /// What the sensor's filter delays each wrench.
     filter_delay: Duration,
@@ -96,11 +93,7 @@ impl<Line: Transport> Conversation<Line> {
             streaming: StreamKind::Off,
             next_stream: None,
             continuity: Continuity::default(),
-            lost_samples: 0,
-            dropped_samples: 0,
-            received_bytes: 0,
-            broken_frames: 0,
-            repetitions: 0,
+            tally: Tally::default(),
             calibration: None,
             filter_delay: Duration::ZERO,
         }
@@ -111,24 +104,9 @@ impl<Line: Transport> Conversation<Line> {
         &self.line
     }
 
-    /// Samples that are missing between those that were taken.
-    pub(super) const fn lost_samples(&self) -> u64 {
-        self.lost_samples
-    }
-
-    /// Samples that came and were dropped because nobody took them in time.
-    pub(super) const fn dropped_samples(&self) -> u64 {
-        self.dropped_samples
-    }
-
-    /// Frames that came broken.
-    pub(super) const fn broken_frames(&self) -> u64 {
-        self.broken_frames
-    }
-
-    /// How often no answer came in time, and the question was asked again or given up.
-    pub(super) const fn repetitions(&self) -> u64 {
-        self.repetitions
+    /// What was counted.
+    pub(super) const fn tally(&self) -> &Tally {
+        &self.tally
     }
 
     /// The baud rate.
@@ -215,7 +193,7 @@ impl<Line: Transport> Conversation<Line> {
         let frame = self.frames.pop_front();
         if let Some(frame) = &frame {
             let (index, stride) = frame.place();
-            self.lost_samples += u64::from(self.continuity.missing_before(index, stride));
+            self.tally.lost_samples += u64::from(self.continuity.missing_before(index, stride));
         }
         Ok(frame)
     }
@@ -274,7 +252,7 @@ impl<Line: Transport> Conversation<Line> {
         within: Duration,
     ) -> Result<Arrived, LinkError> {
         let begin = self.line.elapsed();
-        let (bytes_before, broken_before) = (self.received_bytes, self.broken_frames);
+        let (bytes_before, broken_before) = (self.tally.received_bytes, self.tally.broken_frames);
         let mut last = begin + within;
         while self.line.elapsed() < last {
             self.send(message)?;
@@ -282,7 +260,7 @@ impl<Line: Transport> Conversation<Line> {
             if let Some(arrived) = self.wait_until(awaited, until)? {
                 return Ok(arrived);
             }
-            self.repetitions += 1;
+            self.tally.repetitions += 1;
             if self.baud != DEFAULT_BAUD && self.line.elapsed() >= last {
                 // The sensor has been at its usual rate for a while if it has not heard anything.
                 self.fall_back()?;
@@ -290,8 +268,8 @@ impl<Line: Transport> Conversation<Line> {
             }
         }
         let seconds = self.line.elapsed().saturating_sub(begin).as_secs_f64();
-        let bytes = self.received_bytes - bytes_before;
-        let broken_frames = self.broken_frames - broken_before;
+        let bytes = self.tally.received_bytes - bytes_before;
+        let broken_frames = self.tally.broken_frames - broken_before;
         Err(if bytes == 0 {
             LinkError::Silence { seconds }
         } else {
@@ -328,13 +306,13 @@ impl<Line: Transport> Conversation<Line> {
             }
             self.received.clear();
             let came = self.line.read(&mut self.received, until)?;
-            self.received_bytes += self.received.len() as u64;
+            self.tally.received_bytes += self.received.len() as u64;
             let mut arrived = None;
             for position in 0..self.received.len() {
                 let Some(&byte) = self.received.get(position) else { break };
                 match self.decoder.push::<ToHost>(byte) {
                     None => {}
-                    Some(Err(_)) => self.broken_frames += 1,
+                    Some(Err(_)) => self.tally.broken_frames += 1,
                     Some(Ok(message)) => arrived = self.take_in(message, came, awaited).or(arrived),
                 }
             }
@@ -364,7 +342,7 @@ impl<Line: Transport> Conversation<Line> {
             ToHost::Wrench(frame) if self.streaming == StreamKind::Wrench => {
                 let read = WrenchSample::read(&frame, self.calibration, self.filter_delay, came);
                 let Some(samples) = read else {
-                    self.broken_frames += 1;
+                    self.tally.broken_frames += 1;
                     return None;
                 };
                 for sample in samples {
@@ -382,14 +360,14 @@ impl<Line: Transport> Conversation<Line> {
         self.next_stream = None;
         self.streaming = kind;
         self.continuity = Continuity::default();
-        self.lost_samples = 0;
+        self.tally.lost_samples = 0;
         self.frames.clear();
     }
 
     fn keep(&mut self, frame: Frame) {
         if self.frames.len() == KEPT_SAMPLES {
             self.frames.pop_front();
-            self.dropped_samples += 1;
+            self.tally.dropped_samples += 1;
         }
         self.frames.push_back(frame);
     }

@@ -23,5 +23,6 @@ pub mod frame;
 pub mod health_words;
 pub mod remedy;
 pub mod serial;
+mod tally;
 pub mod transport;
 pub mod words;

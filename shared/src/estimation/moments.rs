@@ -211,7 +211,8 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
             return Err(Refusal::OverflowAhead { samples: self.codes.count });
         }
         let batch = &mut self.batches[self.filling];
-        // Of which the compiler, too, knows that there is room.
+        debug_assert!(batch.samples < BATCH);
+        // So that the compiler, too, knows that there is room.
         let place = batch.samples % BATCH;
         for gage in 0..GAGES {
             let difference = codes[gage].counts() - self.codes.pivot[gage].counts();

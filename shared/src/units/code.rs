@@ -54,7 +54,7 @@ impl AdcCode {
 
     /// Whether the converter stood at an end of its range.
     pub const fn is_saturated(self) -> bool {
-        self.successor_of_magnitude() & Self::BEYOND_MAX != 0
+        self.successor_of_magnitude() & !Self::MAX.0 != 0
     }
 
     /// Whether any of these is.
@@ -72,16 +72,13 @@ impl AdcCode {
         for code in rest {
             all |= code.successor_of_magnitude();
         }
-        all & Self::BEYOND_MAX != 0
+        all & !Self::MAX.0 != 0
     }
 
-    /// One more than the largest code: a bit that no code within the range has in [`AdcCode::successor_of_magnitude`].
-    const BEYOND_MAX: i32 = Self::MAX.0 + 1;
-
-    /// One more than the code or its complement, whichever is not negative. The complement of the least code is the largest, so both ends
-    /// of the range are one number.
+    /// One more than the code or its complement, whichever is not negative: beyond the bits of [`AdcCode::MAX`] for either end of the range,
+    /// since the complement of the least code is the largest, and for whatever else a line may bring.
     const fn successor_of_magnitude(self) -> i32 {
-        (self.0 ^ (self.0 >> (i32::BITS - 1))) + 1
+        (self.0 ^ (self.0 >> (i32::BITS - 1))).wrapping_add(1)
     }
 }
 
@@ -100,10 +97,11 @@ mod tests {
             let codes: Vec<AdcCode> = within.into_iter().cycle().take(count).collect();
             assert!(!AdcCode::any_is_saturated(&codes));
             for place in 0..count {
-                for end in [AdcCode::MIN, AdcCode::MAX] {
+                for end in [AdcCode::MIN, AdcCode::MAX, AdcCode(i32::MIN), AdcCode(i32::MAX)] {
                     let mut codes = codes.clone();
                     codes[place] = end;
                     assert!(AdcCode::any_is_saturated(&codes), "{end:?} at {place} of {count}");
+                    assert!(end.is_saturated());
                 }
             }
         }
