@@ -1,6 +1,7 @@
 //! What the tests that cross crate borders have in common: simulated trials with a known truth.
 
 pub mod hand;
+pub mod patience;
 pub mod truth;
 
 use ftcal_shared::estimation::moments::Moments;

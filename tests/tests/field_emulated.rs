@@ -25,6 +25,7 @@ use ftcal_shared::units::{DataRate, Dof, Gain};
 use ftcal_shared::wire::{CalibrationOrigin, CalibrationUpload, FieldOutcome, FieldPhase, KeptCalibration};
 use nalgebra::Vector3;
 
+use ftcal_tests::patience::patiently;
 use ftcal_tests::truth::{shape_error, true_calibration};
 
 /// What hangs on the sensor: no matter where, as it feels no torque.
@@ -34,7 +35,7 @@ const LOAD: Load = Load { mass_kg: 2.0, arm_m: Vector3::new(0.0, 0.0, 0.0) };
 const PATIENCE: Duration = Duration::from_mins(5);
 
 /// How long anything else may take on a busy machine.
-const SOON: Duration = Duration::from_secs(30);
+const SOON: Duration = Duration::from_mins(2);
 
 /// Between two looks at the light.
 const GLANCE: Duration = Duration::from_millis(10);
@@ -78,13 +79,13 @@ fn emulate(flash: &Path, sensor: &SoftwareSensor) -> Emulator {
 
 /// Connects to a board that has read its memory, and whose converter runs.
 fn connect(emulator: &Emulator) -> Client<SerialTransport> {
-    let line = SerialTransport::open(emulator.link().to_str().unwrap()).unwrap();
-    let (mut client, begin) = (Client::connect(line).unwrap(), Instant::now());
-    while client.status().unwrap().kept.current == KeptCalibration::Unread {
+    let open = || SerialTransport::open(emulator.link().to_str().unwrap()).unwrap();
+    let (mut client, begin) = (patiently(|| Client::connect(open())), Instant::now());
+    while patiently(|| client.status()).kept.current == KeptCalibration::Unread {
         assert!(begin.elapsed() < SOON);
         client.wait(GLANCE).unwrap();
     }
-    client.wait_for_converter().unwrap();
+    patiently(|| client.wait_for_converter());
     client
 }
 
@@ -123,8 +124,8 @@ fn the_image_is_calibrated_with_its_button_and_keeps_the_new_calibration() {
 
     let emulator = emulate(&flash, &other);
     let mut client = connect(&emulator);
-    assert_eq!(client.read_calibration().unwrap().as_ref(), Some(&before));
-    assert_eq!(client.field().unwrap().phase, FieldPhase::Idle);
+    assert_eq!(patiently(|| client.read_calibration()).as_ref(), Some(&before));
+    assert_eq!(patiently(|| client.field()).phase, FieldPhase::Idle);
     drop(client);
 
     let panel = emulator.panel();
@@ -136,13 +137,13 @@ fn the_image_is_calibrated_with_its_button_and_keeps_the_new_calibration() {
     press(&panel, Duration::from_millis(300));
     let ended = look_until(&panel, &[Light::Renewed, Light::Confirmed, Light::Refused], SOON);
     let mut client = connect(&emulator);
-    let report = client.field().unwrap();
+    let report = patiently(|| client.field());
     assert_eq!(ended.last(), Some(&Light::Renewed), "{report:?}");
 
     let Some(FieldOutcome::Renewed(renewed, found)) = report.last else { panic!("{report:?}") };
     assert_eq!((found.reference, found.gage), (before.identity, 2));
     assert_eq!(report.origin, Some(CalibrationOrigin::Field(renewed, found)));
-    let after = client.read_calibration().unwrap().unwrap();
+    let after = patiently(|| client.read_calibration()).unwrap();
     assert_ne!(after.identity, before.identity);
     let (old, new) = (shape_error(&before, &other), shape_error(&after, &other));
     assert!(new < old, "{old} {new}");
@@ -151,9 +152,9 @@ fn the_image_is_calibrated_with_its_button_and_keeps_the_new_calibration() {
 
     let emulator = emulate(&flash, &other);
     let mut client = connect(&emulator);
-    assert_eq!(client.read_calibration().unwrap(), Some(after.clone()));
-    let kept = client.status().unwrap().kept;
+    assert_eq!(patiently(|| client.read_calibration()), Some(after.clone()));
+    let kept = patiently(|| client.status()).kept;
     assert_eq!(kept.current, KeptCalibration::Calibration(after.identity));
     assert_eq!(kept.previous, Some(before.identity));
-    assert_eq!(client.field().unwrap().origin, Some(CalibrationOrigin::Field(renewed, found)));
+    assert_eq!(patiently(|| client.field()).origin, Some(CalibrationOrigin::Field(renewed, found)));
 }

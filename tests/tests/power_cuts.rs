@@ -37,6 +37,7 @@ use ftcal_shared::wire::{
 };
 use rand::{Rng, RngExt};
 
+use ftcal_tests::patience::{PATIENCE, patiently};
 use ftcal_tests::random;
 
 /// Boards that store.
@@ -67,9 +68,6 @@ const LATEST_CUT: f64 = 1.5;
 const SHORT_TRIAL: u32 = 12;
 /// When the first checkpoint of a running trial begins.
 const FIRST_CHECKPOINT: Duration = Duration::from_secs(10);
-
-/// How long anything may take on a busy machine.
-const PATIENCE: Duration = Duration::from_mins(1);
 
 fn image() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../target/images/ftcal-emulated.elf")
@@ -234,17 +232,6 @@ impl TunnelledConverter for Sparse {
 
 fn connect(emulator: &Emulator) -> Client<SerialTransport> {
     patiently(|| Client::connect(SerialTransport::open(emulator.link().to_str().unwrap()).unwrap()))
-}
-
-/// Asks again where no answer comes: on a busy machine the emulator stands still for seconds.
-fn patiently<Answer>(mut ask: impl FnMut() -> Result<Answer, ClientError>) -> Answer {
-    let begin = Instant::now();
-    loop {
-        match ask() {
-            Ok(answer) => return answer,
-            Err(error) => assert!(begin.elapsed() < PATIENCE, "{error}"),
-        }
-    }
 }
 
 /// Waits until the trial is as it should be.
