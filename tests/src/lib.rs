@@ -1,6 +1,7 @@
 //! What the tests that cross crate borders have in common: simulated trials with a known truth.
 
 pub mod hand;
+#[cfg(unix)]
 pub mod patience;
 pub mod truth;
 

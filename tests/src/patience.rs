@@ -3,6 +3,10 @@
 use std::fmt::Display;
 use std::time::{Duration, Instant};
 
+use ftcal::link::client::Client;
+use ftcal::link::serial::SerialTransport;
+use ftcal::simulator::emulator::Emulator;
+
 /// How long anything may take on a busy machine.
 pub const PATIENCE: Duration = Duration::from_mins(1);
 
@@ -19,4 +23,14 @@ pub fn patiently<Answer, Problem: Display>(mut ask: impl FnMut() -> Result<Answe
             Err(error) => assert!(begin.elapsed() < PATIENCE, "{error}"),
         }
     }
+}
+
+/// Connects to an emulated board.
+///
+/// # Panics
+///
+/// Where its port cannot be opened, or it does not answer in time.
+pub fn connect(emulator: &Emulator) -> Client<SerialTransport> {
+    let path = emulator.link().to_str().expect("QEMU names it in ASCII");
+    patiently(|| Client::connect(SerialTransport::open(path).expect("nobody else has it open")))
 }

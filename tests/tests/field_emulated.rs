@@ -25,7 +25,7 @@ use ftcal_shared::units::{DataRate, Dof, Gain};
 use ftcal_shared::wire::{CalibrationOrigin, CalibrationUpload, FieldOutcome, FieldPhase, KeptCalibration};
 use nalgebra::Vector3;
 
-use ftcal_tests::patience::patiently;
+use ftcal_tests::patience::{connect, patiently};
 use ftcal_tests::truth::{shape_error, true_calibration};
 
 /// What hangs on the sensor: no matter where, as it feels no torque.
@@ -78,9 +78,8 @@ fn emulate(flash: &Path, sensor: &SoftwareSensor) -> Emulator {
 }
 
 /// Connects to a board that has read its memory, and whose converter runs.
-fn connect(emulator: &Emulator) -> Client<SerialTransport> {
-    let open = || SerialTransport::open(emulator.link().to_str().unwrap()).unwrap();
-    let (mut client, begin) = (patiently(|| Client::connect(open())), Instant::now());
+fn connect_when_ready(emulator: &Emulator) -> Client<SerialTransport> {
+    let (mut client, begin) = (connect(emulator), Instant::now());
     while patiently(|| client.status()).kept.current == KeptCalibration::Unread {
         assert!(begin.elapsed() < SOON);
         client.wait(GLANCE).unwrap();
@@ -123,7 +122,7 @@ fn the_image_is_calibrated_with_its_button_and_keeps_the_new_calibration() {
     prepare(&flash, &sensor, &before);
 
     let emulator = emulate(&flash, &other);
-    let mut client = connect(&emulator);
+    let mut client = connect_when_ready(&emulator);
     assert_eq!(patiently(|| client.read_calibration()).as_ref(), Some(&before));
     assert_eq!(patiently(|| client.field()).phase, FieldPhase::Idle);
     drop(client);
@@ -136,7 +135,7 @@ fn the_image_is_calibrated_with_its_button_and_keeps_the_new_calibration() {
     // A press stops it now, with an answer.
     press(&panel, Duration::from_millis(300));
     let ended = look_until(&panel, &[Light::Renewed, Light::Confirmed, Light::Refused], SOON);
-    let mut client = connect(&emulator);
+    let mut client = connect_when_ready(&emulator);
     let report = patiently(|| client.field());
     assert_eq!(ended.last(), Some(&Light::Renewed), "{report:?}");
 
@@ -151,7 +150,7 @@ fn the_image_is_calibrated_with_its_button_and_keeps_the_new_calibration() {
     drop(emulator);
 
     let emulator = emulate(&flash, &other);
-    let mut client = connect(&emulator);
+    let mut client = connect_when_ready(&emulator);
     assert_eq!(patiently(|| client.read_calibration()), Some(after.clone()));
     let kept = patiently(|| client.status()).kept;
     assert_eq!(kept.current, KeptCalibration::Calibration(after.identity));

@@ -37,7 +37,7 @@ use ftcal_shared::wire::{
 };
 use rand::{Rng, RngExt};
 
-use ftcal_tests::patience::{PATIENCE, patiently};
+use ftcal_tests::patience::{PATIENCE, connect, patiently};
 use ftcal_tests::random;
 
 /// Boards that store.
@@ -228,10 +228,6 @@ impl TunnelledConverter for Sparse {
     fn now(&self) -> DeviceTime {
         self.bench.now()
     }
-}
-
-fn connect(emulator: &Emulator) -> Client<SerialTransport> {
-    patiently(|| Client::connect(SerialTransport::open(emulator.link().to_str().unwrap()).unwrap()))
 }
 
 /// Waits until the trial is as it should be.

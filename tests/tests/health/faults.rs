@@ -64,7 +64,7 @@ fn check_faults<const GAGES: usize, const HIGHER: usize>(kind: ScenarioKind, see
                     }
                     _ => 0.0,
                 };
-                let allowed = &noise + rig.matrix.column(gage).abs() * off;
+                let allowed = &noise + rig.matrix().column(gage).abs() * off;
                 for measurement in step.measurements {
                     if let Measurement::Valid { wrench, .. } = measurement {
                         assert_near(&wrench, &step.truth, &allowed, &what);

@@ -16,7 +16,6 @@ use ftcal_shared::estimation::parity::ParitySpace;
 use ftcal_shared::units::{AdcCode, DataRate, Dof};
 use ftcal_shared::wire::health::{StatusBit, StatusWord};
 use ftcal_shared::wire::{ClockSource, HealthRequest, InvalidCause, Rejection, Request, Response};
-use ftcal_tests::truth::true_matrix;
 use nalgebra::{DMatrix, DVector, UnitVector3, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -128,9 +127,10 @@ fn check_carry_on<const GAGES: usize, const HIGHER: usize>(kind: ScenarioKind, s
         assert_eq!(report.carrying_on_without, u8::try_from(gage).ok());
         let projector = rig.projector();
         let share = projector[(gage, gage)];
-        let noise = DVector::from_fn(rig.matrix.nrows(), |row, _| {
+        let matrix = rig.matrix();
+        let noise = DVector::from_fn(matrix.nrows(), |row, _| {
             let without = DVector::from_fn(GAGES, |other, _| {
-                rig.matrix[(row, other)] - rig.matrix[(row, gage)] * projector[(gage, other)] / share
+                matrix[(row, other)] - matrix[(row, gage)] * projector[(gage, other)] / share
             });
             let noises = rig.truth.noise_counts();
             without.iter().zip(noises.iter()).map(|(c, noise)| (c * noise).powi(2)).sum::<f64>().sqrt()
@@ -174,8 +174,7 @@ fn a_gage_that_is_needed_cannot_be_left_out() {
     let sensor = random_sensor(Dof::SpatialForce, 3, 4);
     let bench = SharedBench::new(Bench::new(sensor.clone(), 1));
     let polled = PolledSensor::new(bench.clone(), Box::new(Bins::new()), ClockSource::Simulated);
-    let matrix = true_matrix(&sensor);
-    let mut rig = Rig::<3, { higher_moment_count(3) }> { bench, polled, next_tick: 0, truth: sensor, matrix };
+    let mut rig = Rig::<3, { higher_moment_count(3) }> { bench, polled, next_tick: 0, truth: sensor };
     let carry_on = |rig: &mut Rig<3, { higher_moment_count(3) }>, gage| {
         rig.ask(Request::Health(HealthRequest::CarryOn(Some(gage))))
     };

@@ -34,7 +34,6 @@ pub(super) struct Rig<const GAGES: usize, const HIGHER: usize> {
     pub(super) polled: PolledSensor<SharedBench, Box<Bins<GAGES, HIGHER>>, GAGES, HIGHER>,
     pub(super) next_tick: u64,
     pub(super) truth: SoftwareSensor,
-    pub(super) matrix: DMatrix<f64>,
 }
 
 /// What one conversion period brought.
@@ -67,9 +66,8 @@ impl<const GAGES: usize, const HIGHER: usize> Rig<GAGES, HIGHER> {
             bench.hang(load);
             turn(bench);
         });
-        let matrix = true_matrix(truth);
         let polled = PolledSensor::new(bench.clone(), Box::new(Bins::new()), ClockSource::Simulated);
-        let mut rig = Self { bench, polled, next_tick: 0, truth: truth.clone(), matrix };
+        let mut rig = Self { bench, polled, next_tick: 0, truth: truth.clone() };
         rig.ask(Request::ConfigureAdc(rate, Gain::X128));
         rig.ask(Request::Stream(StreamKind::Wrench));
         rig.run(0.05);
@@ -149,17 +147,23 @@ impl<const GAGES: usize, const HIGHER: usize> Rig<GAGES, HIGHER> {
         }
     }
 
+    /// The truth as a calibration matrix.
+    pub(super) fn matrix(&self) -> DMatrix<f64> {
+        true_matrix(&self.truth)
+    }
+
     /// Standard deviation of each component from the gages' noise.
     pub(super) fn noise(&self) -> DVector<f64> {
         let variances = self.truth.noise_counts().map(|noise| noise * noise);
-        DVector::from_fn(self.matrix.nrows(), |row, _| {
-            self.matrix.row(row).iter().zip(variances.iter()).map(|(c, v)| c * c * v).sum::<f64>().sqrt()
+        let matrix = self.matrix();
+        DVector::from_fn(matrix.nrows(), |row, _| {
+            matrix.row(row).iter().zip(variances.iter()).map(|(c, v)| c * c * v).sum::<f64>().sqrt()
         })
     }
 
     /// I − SᵀC.
     pub(super) fn projector(&self) -> DMatrix<f64> {
-        DMatrix::identity(GAGES, GAGES) - self.truth.shape().transpose() * &self.matrix
+        DMatrix::identity(GAGES, GAGES) - self.truth.shape().transpose() * self.matrix()
     }
 
     /// By how much gage k may be off at most in a sample that is called valid: what is allowed of its parity, and six standard
