@@ -88,11 +88,15 @@ proptest! {
         prop_assert_eq!(left.codes().covariance(), right.codes().covariance());
         prop_assert_eq!(left.codes().covariance(), one_pass.codes().covariance());
         prop_assert_eq!(left.codes().mean().counts, one_pass.codes().mean().counts);
-        // All sums, through the solution: to the rounding of the sums of degree 3 and 4.
+        // All sums, through the solution: the rounding of the sums of degree 3 and 4, which a flat shape amplifies by the fourth power of how
+        // flat it is, stays well below what the trial leaves uncertain.
         let [left, right, one_pass] =
-            [left, right, one_pass].map(|moments| solve_trial::<4, 55>(&moments, Rank::Spatial).unwrap().shape_counts_per_load);
-        prop_assert!(shape_difference(&left, &right) < 1e-5);
-        prop_assert!(shape_difference(&left, &one_pass) < 1e-5);
+            [left, right, one_pass].map(|moments| solve_trial::<4, 55>(&moments, Rank::Spatial).unwrap());
+        let allowed = one_pass.uncertainty.worst_relative() / 4.0;
+        for other in [right, one_pass] {
+            let difference = shape_difference(&left.shape_counts_per_load, &other.shape_counts_per_load);
+            prop_assert!(difference < allowed, "{difference}");
+        }
     }
 
     /// Turning the frame in which the loads are given changes no code but by rounding, and so not the answer.
