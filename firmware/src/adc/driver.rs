@@ -156,14 +156,13 @@ impl<Spi: SpiDevice<u8>> Ads131m08<Spi> {
             }
             Some(status)
         };
-        let (pairs, rest) = codes.as_chunks_mut::<2>();
-        let (pairs_of_bytes, _) = channels.as_chunks::<2>();
-        // Written out: the compiler unrolls nothing where it is to save room.
-        for ([a, b], [of_a, of_b]) in pairs.iter_mut().zip(pairs_of_bytes) {
-            (*a, *b) = (AdcCode::from_be_bytes(*of_a), AdcCode::from_be_bytes(*of_b));
+        let (fours, rest) = codes.as_chunks_mut::<4>();
+        let (fours_of_words, _) = channels.as_chunks::<4>();
+        for (four, words) in fours.iter_mut().zip(fours_of_words) {
+            *four = AdcCode::four_from_be_bytes(words);
         }
-        for (code, bytes) in rest.iter_mut().zip(channels.iter().skip(2 * pairs.len())) {
-            *code = AdcCode::from_be_bytes(*bytes);
+        for (code, word) in rest.iter_mut().zip(channels.iter().skip(4 * fours.len())) {
+            *code = AdcCode::from_be_bytes(*word);
         }
         Ok(status)
     }

@@ -127,13 +127,21 @@ impl<const GAGES: usize> RealTimeCalibration<GAGES> {
         // Component by component, and not as a loop: see `monomials`. Rows beyond the degrees of freedom are zero: to leave
         // them out would cost more than to take them along.
         let [mut a, mut b, mut c, mut d, mut e, mut f] = self.offset;
-        for ([of_a, of_b, of_c, of_d, of_e, of_f], signal) in self.columns.iter().zip(signal) {
+        let mut add = |[of_a, of_b, of_c, of_d, of_e, of_f]: &[f32; MAX_DOF], signal: f32| {
             a += of_a * signal;
             b += of_b * signal;
             c += of_c * signal;
             d += of_d * signal;
             e += of_e * signal;
             f += of_f * signal;
+        };
+        let ((pairs, odd), (signal_pairs, odd_signal)) = (self.columns.as_chunks(), signal.as_chunks());
+        for ([first, second], [first_signal, second_signal]) in pairs.iter().zip(signal_pairs) {
+            add(first, *first_signal);
+            add(second, *second_signal);
+        }
+        for (column, signal) in odd.iter().zip(odd_signal) {
+            add(column, *signal);
         }
         [a, b, c, d, e, f]
     }

@@ -41,6 +41,25 @@ impl AdcCode {
         Self(i32::from_be_bytes([bytes[0], bytes[1], bytes[2], 0]) >> 8)
     }
 
+    /// Four codes that follow each other in that order: three words of the processor's instead of twelve bytes.
+    pub const fn four_from_be_bytes(bytes: &[[u8; 3]; 4]) -> [Self; 4] {
+        let [[a, b, c], [d, e, f], [g, h, i], [j, k, l]] = *bytes;
+        let first = u32::from_be_bytes([a, b, c, d]);
+        let middle = u32::from_be_bytes([e, f, g, h]);
+        let last = u32::from_be_bytes([i, j, k, l]);
+        [
+            Self::from_high_bits(first),
+            Self::from_high_bits(first << 24 | middle >> 8),
+            Self::from_high_bits(middle << 16 | last >> 16),
+            Self::from_high_bits(last << 8),
+        ]
+    }
+
+    /// The code that the upper 24 bits are.
+    const fn from_high_bits(bits: u32) -> Self {
+        Self(bits.cast_signed() >> 8)
+    }
+
     /// The converter's own byte order, as read by [`AdcCode::from_be_bytes`].
     pub const fn to_be_bytes(self) -> [u8; 3] {
         let [_, high, middle, low] = self.0.to_be_bytes();
