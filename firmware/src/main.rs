@@ -60,7 +60,7 @@ mod app {
     use ftcal_firmware::vitality::{Task, Vitality};
     use ftcal_shared::estimation::bins::Bins;
     use ftcal_shared::estimation::moments::higher_moment_count;
-    use ftcal_shared::wire::{AdcState, Rejection, Request, Response, ToHost};
+    use ftcal_shared::wire::{AdcState, Rejection, Request, Response};
     use heapless::spsc::{Consumer, Producer, Queue};
     use rtic::Mutex;
     use stm32f4xx_hal::pac::Interrupt;
@@ -128,11 +128,25 @@ mod app {
     }
 
     impl Conversation {
-        /// The next frame of the stream that is due.
+        /// Sends the next frame of the stream, if one is due.
         #[inline(never)]
-        fn next_of_stream(&mut self) -> Option<ToHost> {
+        fn go_on_streaming(&mut self) -> bool {
             let line_is_idle = self.outbox.is_idle();
-            self.batcher.next(time_base::now(), line_is_idle, || self.moments.dequeue())
+            let due = self.batcher.next(time_base::now(), line_is_idle, || self.moments.dequeue());
+            if let Some(frame) = &due {
+                self.outbox.put(frame);
+            }
+            due.is_some()
+        }
+
+        /// Answers a request, unless the conversation that it belongs to is over.
+        #[inline(never)]
+        fn answer(&mut self, ticket: Ticket, response: Response) -> bool {
+            let message = self.session.answer(ticket, response);
+            if let Some(message) = &message {
+                self.outbox.put(message);
+            }
+            message.is_some()
         }
 
         /// Whether the line takes the next message: the one before is in its queue, and its rate is not about to change.
@@ -345,10 +359,11 @@ mod app {
     fn session(mut context: session::Context) {
         context.shared.vitality.report(Task::Session);
         watch_host(&mut context);
-        while context.local.conversation.is_ready() {
-            let Some(message) = next_message(&mut context) else { break };
-            context.local.conversation.outbox.put(&message);
-        }
+        while context.local.conversation.is_ready()
+            && (tell_outcome(&mut context)
+                || hear(&mut context)
+                || context.local.conversation.go_on_streaming())
+        {}
         if context.local.conversation.moments.is_empty() {
             catch_up();
         }
@@ -367,32 +382,43 @@ mod app {
         }
     }
 
-    /// What goes to the host next: answers before samples.
-    fn next_message(context: &mut session::Context<'_>) -> Option<ToHost> {
-        if let Some((ticket, response)) = context.shared.outcome.lock(Option::take)
-            && let Some(message) = context.local.conversation.session.answer(ticket, response)
-        {
-            return Some(message);
-        }
-        while let Some(byte) = context.local.conversation.received.dequeue() {
-            let (ticket, response) = match context.local.conversation.session.on_byte(byte, time_base::now())
-            {
-                None => continue,
-                Some(Order::Send(message)) => return Some(message),
-                Some(Order::Serve(ticket, request)) => match serve(context, ticket, request) {
-                    None => continue,
-                    Some(response) => (ticket, response),
-                },
-                Some(Order::ChangeRate(ticket, baud)) => (ticket, context.local.conversation.plan_rate(baud)),
-            };
-            return context.local.conversation.session.answer(ticket, response);
-        }
-        context.local.conversation.next_of_stream()
+    /// Sends what has come of a job, if one has ended. These and the next say whether anything was sent.
+    #[inline(never)]
+    fn tell_outcome(context: &mut session::Context<'_>) -> bool {
+        let outcome = context.shared.outcome.lock(Option::take);
+        outcome.is_some_and(|(ticket, response)| context.local.conversation.answer(ticket, response))
     }
 
-    /// Has the sensor answer; `None` where the answer takes time and comes as the outcome of a job.
+    /// Takes in what comes from the host, until there is something to be sent at once, and sends that.
+    fn hear(context: &mut session::Context<'_>) -> bool {
+        while let Some(byte) = context.local.conversation.received.dequeue() {
+            if obey(context, byte) {
+                return true;
+            }
+        }
+        false
+    }
+
+    /// Takes in one byte from the host, and says whether anything was sent.
     #[inline(never)]
-    fn serve(context: &mut session::Context<'_>, ticket: Ticket, request: Request) -> Option<Response> {
+    fn obey(context: &mut session::Context<'_>, byte: u8) -> bool {
+        match context.local.conversation.session.on_byte(byte, time_base::now()) {
+            None => false,
+            Some(Order::Send(message)) => {
+                context.local.conversation.outbox.put(&message);
+                true
+            }
+            Some(Order::Serve(ticket, request)) => serve(context, ticket, request),
+            Some(Order::ChangeRate(ticket, baud)) => {
+                let response = context.local.conversation.plan_rate(baud);
+                context.local.conversation.answer(ticket, response)
+            }
+        }
+    }
+
+    /// Has the sensor answer, and says whether an answer was sent: where it takes time, it comes as the outcome of a job.
+    #[inline(never)]
+    fn serve(context: &mut session::Context<'_>, ticket: Ticket, request: Request) -> bool {
         let now = time_base::now();
         let is_new_stream = matches!(request, Request::Stream(_));
         let counters = LinkCounters {
@@ -403,18 +429,19 @@ mod app {
         if is_new_stream {
             context.local.conversation.drop_stream();
         }
-        match reaction {
-            Reaction::Respond(response) => Some(response),
-            Reaction::Diagnose => Some(Response::Diagnosis(context.local.start.diagnosis())),
+        let response = match reaction {
+            Reaction::Respond(response) => response,
+            Reaction::Diagnose => Response::Diagnosis(context.local.start.diagnosis()),
             Reaction::Solve(job) => {
                 context.shared.job.lock(|waiting| *waiting = Some((ticket, job)));
-                None
+                return false;
             }
             Reaction::Store(job) => {
                 context.shared.store_job.lock(|waiting| *waiting = Some((ticket, job)));
-                None
+                return false;
             }
-        }
+        };
+        context.local.conversation.answer(ticket, response)
     }
 
     /// Solves trials, stores, calibrates in the field, or sleeps. A job that comes just before the sleep waits for the next interrupt: 2 ms at most.

@@ -29,7 +29,7 @@ use crate::storage::job::StoreJob;
 use crate::stream::{Measurement, Moment, SilentMoment, WrenchMoment};
 use crate::trial::{SolveJob, Trial};
 
-use calibration::LoadedCalibration;
+use calibration::{LoadedCalibration, saturated_channels};
 
 /// What a request leads to.
 pub enum Reaction<Store, const GAGES: usize, const HIGHER: usize> {
@@ -160,10 +160,11 @@ where
         let is_testing = self.self_test.is_running();
         match reading.outcome() {
             Ok(sample) => {
+                let saturated = saturated_channels(&sample.codes);
                 if !self.awaits_memory {
-                    self.trial.offer(reading.index, &sample.codes);
+                    self.trial.offer(reading.index, &sample.codes, saturated != 0);
                 }
-                let measurement = self.measure(sample);
+                let measurement = self.measure(sample, saturated);
                 self.observe(now, &Observed::Sample(&sample.codes, self.health.live()));
                 self.moment(reading, sample, measurement, is_testing)
             }

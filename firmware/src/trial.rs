@@ -239,8 +239,9 @@ where
         }
     }
 
-    /// Takes in one sample while the trial runs. A sample that is no measurement is counted, not used.
-    pub fn offer(&mut self, index: SampleIndex, codes: &[AdcCode; GAGES]) {
+    /// Takes in one sample while the trial runs, and whether any of its codes is saturated. A sample that is no measurement is counted,
+    /// not used.
+    pub fn offer(&mut self, index: SampleIndex, codes: &[AdcCode; GAGES], is_saturated: bool) {
         if self.standing.phase != TrialPhase::Running {
             return;
         }
@@ -251,7 +252,7 @@ where
         counts.offered = counts.offered.saturating_add(1);
         match &mut self.store {
             Some(bins) => {
-                let outcome = bins.offer(codes);
+                let outcome = bins.offer_knowing(codes, is_saturated);
                 self.count(outcome);
             }
             None if self.lent && self.waiting.push_back(*codes).is_ok() => {}
@@ -360,17 +361,12 @@ where
         }
     }
 
-    /// Solves the trial, and tells what it has covered and how certain the solution is.
+    /// Tells what the trial has covered and how certain its solution is.
     ///
     /// # Errors
     ///
-    /// Those of [`SolveJob::solve`].
-    pub fn solve_with_coverage(&mut self) -> Result<(Solution, Coverage), Refusal> {
-        let solution = self.solve()?;
-        Ok((solution, self.coverage()?))
-    }
-
-    fn coverage(&mut self) -> Result<Coverage, Refusal> {
+    /// Those of [`Bins::coverage`].
+    pub fn coverage(&mut self) -> Result<Coverage, Refusal> {
         let rank = self.rank()?;
         self.store.settle();
         self.store.coverage(rank).map(|covered| coverage_on_the_wire(&covered, rank))
@@ -383,23 +379,23 @@ where
     /// Every refusal of [`Bins::solve`]; [`Refusal::Saturated`] where saturation has left too few samples.
     pub fn solve(&mut self) -> Result<Solution, Refusal> {
         self.store.finish();
-        match self.solve_finished() {
-            Err(Refusal::TooFewSamples { .. }) if self.counts.saturated > 0 => {
-                Err(Refusal::Saturated { samples: u64::from(self.counts.saturated) })
-            }
-            other => other,
+        let mut solved = self.solve_finished();
+        if let Err(Refusal::TooFewSamples { .. }) = solved
+            && self.counts.saturated > 0
+        {
+            solved = Err(Refusal::Saturated { samples: u64::from(self.counts.saturated) });
         }
+        solved
     }
 
     fn solve_finished(&mut self) -> Result<Solution, Refusal> {
         self.left_out = LeftOut::default();
         let solved = self.store.solve(self.rank()?);
         let QuietSolution { solution, up_to } = solved.as_ref().map_err(|refusal| *refusal)?;
-        let answer = on_the_wire(solution)?;
-        let left_out = self.counts.taken.saturating_sub(answer.samples);
+        let left_out = self.counts.taken.saturating_sub(u32::try_from(solution.samples).unwrap_or(u32::MAX));
         let off_magnitude = if *up_to < Quietness::Fast { self.store.off_magnitude() } else { 0 };
         self.left_out = LeftOut { moving: left_out.saturating_sub(off_magnitude), off_magnitude };
-        Ok(answer)
+        on_the_wire(solution)
     }
 
     fn rank(&self) -> Result<Rank, Refusal> {

@@ -58,6 +58,7 @@ use core::ops::DerefMut;
 use embedded_storage::nor_flash::NorFlash;
 use ftcal_shared::estimation::bins::Bins;
 use ftcal_shared::estimation::coverage::progress;
+use ftcal_shared::refusal::Refusal;
 use ftcal_shared::units::DeviceTime;
 use ftcal_shared::wire::{FieldOutcome, FieldPhase, FieldRefusal, Response};
 
@@ -111,19 +112,44 @@ where
         match self {
             Self::Store(job) => FieldDone::Stored(keeper.run(&job)),
             Self::Look(mut job) => {
-                let quarters = quarters(&job.response());
+                let quarters = look(&mut job);
                 FieldDone::Looked(job, quarters)
             }
             Self::Judge(mut job, reference, quarters) => {
-                let judged = match job.solve_with_coverage() {
-                    Err(refusal) => Err(FieldRefusal::Trial(refusal)),
-                    Ok(_) if quarters < ENOUGH => Err(FieldRefusal::Unfinished { quarters, need: ENOUGH }),
-                    Ok((solution, coverage)) => judge::<GAGES>(&reference, &solution, &coverage),
-                };
+                let judged = solve_and_judge(&mut job, &reference, quarters);
                 FieldDone::Judged(job, judged)
             }
         }
     }
+}
+
+/// How many quarters of its way a trial has behind it. A function of its own, as the next: the sensor's stack is small.
+#[inline(never)]
+fn look<Store, const GAGES: usize, const HIGHER: usize>(job: &mut SolveJob<Store, GAGES, HIGHER>) -> u8
+where
+    Store: DerefMut<Target = Bins<GAGES, HIGHER>>,
+{
+    quarters(&job.response())
+}
+
+#[inline(never)]
+fn solve_and_judge<Store, const GAGES: usize, const HIGHER: usize>(
+    job: &mut SolveJob<Store, GAGES, HIGHER>,
+    reference: &StoredCalibration,
+    quarters: u8,
+) -> Result<Judgement, FieldRefusal>
+where
+    Store: DerefMut<Target = Bins<GAGES, HIGHER>>,
+{
+    let refused = |refusal: &Refusal| FieldRefusal::Trial(*refusal);
+    let solved = job.solve();
+    let solution = solved.as_ref().map_err(refused)?;
+    let covered = job.coverage();
+    let coverage = covered.as_ref().map_err(refused)?;
+    if quarters < ENOUGH {
+        return Err(FieldRefusal::Unfinished { quarters, need: ENOUGH });
+    }
+    judge::<GAGES>(reference, solution, coverage)
 }
 
 /// How many quarters of its way a trial has behind it, by what it knows and by where the load has been.

@@ -42,15 +42,15 @@ impl<Store, const GAGES: usize, const HIGHER: usize> Sensor<Store, GAGES, HIGHER
 where
     Store: DerefMut<Target = Bins<GAGES, HIGHER>>,
 {
-    /// Every sample is measured, streamed or not: health is to be known all the time.
-    pub(super) fn measure(&mut self, sample: &Sample<GAGES>) -> Measurement {
+    /// Every sample is measured, streamed or not: health is to be known all the time. Of its channels these are `saturated`.
+    pub(super) fn measure(&mut self, sample: &Sample<GAGES>, saturated: u16) -> Measurement {
         let gain = self.converter.settings().gain;
         let (usable, axes, identity) = match &self.calibration {
             None => (Err(InvalidCause::Uncalibrated), 0, 0),
             Some(loaded) if loaded.upload.gain != gain => (Err(InvalidCause::GainChanged), 0, 0),
             Some(loaded) => (Ok(&loaded.real_time), loaded.upload.dof.count(), loaded.upload.identity),
         };
-        match self.health.measure(usable, saturated_channels(&sample.codes), sample) {
+        match self.health.measure(usable, saturated, sample) {
             Err(cause) => Measurement::Invalid(cause),
             Ok(()) if !PackedWrenches::can_hold(self.health.wrench()) => {
                 Measurement::Invalid(InvalidCause::NonFinite)
@@ -101,7 +101,7 @@ pub(super) fn prepared<const GAGES: usize>(
 }
 
 /// Which channels stand at an end of their range: bit k for gage k.
-fn saturated_channels<const GAGES: usize>(codes: &[AdcCode; GAGES]) -> u16 {
+pub(super) fn saturated_channels<const GAGES: usize>(codes: &[AdcCode; GAGES]) -> u16 {
     // Rarely is any.
     if !AdcCode::any_is_saturated(codes) {
         return 0;

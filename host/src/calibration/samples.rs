@@ -112,7 +112,7 @@ pub fn gated<const GAGES: usize>(
     let mut note = |class, _: &[AdcCode; GAGES]| classes.push(class);
     let mut verdicts = Vec::with_capacity(recording.len());
     for codes in recording.samples().filter_map(|(_, codes)| <&[AdcCode; GAGES]>::try_from(codes).ok()) {
-        let verdict = gate.offer(codes, &mut note);
+        let verdict = gate.offer(codes, AdcCode::any_is_saturated(codes), &mut note);
         verdicts.push(verdict);
         if verdict == Verdict::Contradictory {
             // Its block goes with it.

@@ -10,7 +10,7 @@
 
 use nalgebra::{Cholesky, SMatrix, SVector};
 
-use super::coordinates::{MotionVector, vector};
+use super::coordinates::{MotionMatrix, MotionVector, vector};
 use super::eigen::symmetric_eigen;
 use super::rest_noise::ChannelNoise;
 use crate::refusal::Refusal;
@@ -64,6 +64,16 @@ pub struct Basis<const GAGES: usize> {
 }
 
 impl<const GAGES: usize> Basis<GAGES> {
+    /// Λ^-½ (r × r), which makes the coordinates of the motion white.
+    pub(super) fn whitening(&self) -> MotionMatrix {
+        MotionMatrix::from_diagonal(&vector(self.rank, |axis| 1.0 / libm::sqrt(self.variances[axis])))
+    }
+
+    /// The variance of the noise of a channel, counts²: where nothing tells it, there is at least the rounding.
+    pub(super) fn noise(&self) -> f64 {
+        self.noise_variance.unwrap_or(self.rounding)
+    }
+
     /// What the noise has across the subspace (p × p), over that of a channel.
     #[inline(never)]
     pub(super) fn redundant_noise(&self) -> SMatrix<f64, GAGES, GAGES> {
@@ -102,22 +112,45 @@ fn basis_of_white_codes<const GAGES: usize>(
     noise: &ChannelNoise<GAGES>,
 ) -> Option<Result<Basis<GAGES>, Refusal>> {
     let at_rest = noise.variance.filter(|_| !noise.is_equal())?;
-    let factor = Cholesky::new(noise.relative)?.l();
-    let white = whitened(covariance, &factor)?;
-    let mut outcome = basis_of_equal_channels(rank, &white, samples, noise);
+    let factor = lower_factor(&noise.relative)?;
+    let white = whitened(covariance, &factor);
+    let mut outcome = basis_of_equal_channels(rank, white.as_ref()?, samples, noise);
     let Ok(found) = outcome.as_mut() else { return Some(outcome) };
     let ratio = found.noise_variance? / at_rest;
     if !(1.0 / LARGEST_NOISE_EXCESS..=LARGEST_NOISE_EXCESS).contains(&ratio) {
         return None;
     }
-    found.projection = factor.transpose().solve_upper_triangular(&found.projection)?;
-    found.embedding = factor * found.embedding;
+    colour(found, &factor)?;
     found.relative_noise = noise.relative;
-    match symmetric_eigen(covariance, GAGES) {
-        Ok(eigen) => found.eigenvalues = eigen.values.map(|eigenvalue| eigenvalue.max(0.0)),
+    match eigenvalues_of(covariance) {
+        Ok(of_codes) => found.eigenvalues = of_codes,
         Err(refusal) => return Some(Err(refusal)),
     }
     Some(outcome)
+}
+
+/// L of LLᵀ = R; this and the steps that follow are functions of their own because the sensor's stack is small.
+#[inline(never)]
+fn lower_factor<const GAGES: usize>(
+    relative: &SMatrix<f64, GAGES, GAGES>,
+) -> Option<SMatrix<f64, GAGES, GAGES>> {
+    Cholesky::new(*relative).map(|factor| factor.l())
+}
+
+/// Takes a basis of whitened codes back to the codes themselves.
+#[inline(never)]
+fn colour<const GAGES: usize>(found: &mut Basis<GAGES>, factor: &SMatrix<f64, GAGES, GAGES>) -> Option<()> {
+    found.projection = factor.tr_solve_lower_triangular(&found.projection)?;
+    found.embedding = factor * found.embedding;
+    Some(())
+}
+
+/// The covariance has no negative eigenvalue; rounding may give it one.
+#[inline(never)]
+fn eigenvalues_of<const GAGES: usize>(
+    covariance: &SMatrix<f64, GAGES, GAGES>,
+) -> Result<SVector<f64, GAGES>, Refusal> {
+    symmetric_eigen(covariance, GAGES).map(|eigen| eigen.values.map(|eigenvalue| eigenvalue.max(0.0)))
 }
 
 /// The covariance of L⁻¹z (p × p).

@@ -12,19 +12,23 @@
 //!   falls with the number of samples, it shifts the answer by an amount that does not: an acceleration a of the hand
 //!   with no preferred direction gives u = ⟨(2m·a)²⟩ = 4⟨a²⟩/3 and lengthens ⟨|m|²⟩ by ⟨a²⟩, all gains by half of that, ⅜u.
 
+mod classes;
 mod saved;
 
 pub use saved::Part;
 
+use nalgebra::SMatrix;
+
+use classes::Classes;
+
 use super::basis::{Basis, basis};
-use super::code_sums::{CodeMean, CodeSums, MAX_SAMPLES};
+use super::code_sums::CodeMean;
 use super::coverage::{Coverage, coverage};
 use super::expectation::Expectation;
 use super::gate::{Episodes, Gate, Quietness, Verdict};
 use super::metric::LARGEST_RELATIVE_UNCERTAINTY;
-use super::moments::Moments;
 use super::projection::{MotionSums, project};
-use super::shape::{Disturbances, TrialSolution, require_samples, solve_within};
+use super::shape::{Disturbances, TrialSolution, fit, require_samples, solution, uncertainty};
 use crate::refusal::Refusal;
 use crate::units::{AdcCode, Rank};
 
@@ -42,10 +46,7 @@ const ROUGHEST: f64 = 1.0;
 #[derive(Clone, Debug)]
 pub struct Bins<const GAGES: usize, const HIGHER: usize> {
     gate: Gate<GAGES>,
-    /// One for each [`Quietness`].
-    by_quietness: [Moments<GAGES, HIGHER>; Quietness::ALL.len()],
-    /// Why a sample could not be summed up.
-    full: Option<Refusal>,
+    classes: Classes<GAGES, HIGHER>,
 }
 
 /// A trial solved from its quiet samples.
@@ -66,20 +67,13 @@ impl<const GAGES: usize, const HIGHER: usize> Default for Bins<GAGES, HIGHER> {
 impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
     /// Empty sums.
     pub const fn new() -> Self {
-        Self {
-            gate: Gate::new(),
-            by_quietness: [const { Moments::new([AdcCode::ZERO; GAGES]) }; Quietness::ALL.len()],
-            full: None,
-        }
+        Self { gate: Gate::new(), classes: Classes::new() }
     }
 
     /// Empties gate and sums.
     pub fn restart(&mut self) {
         self.gate = Gate::new();
-        self.full = None;
-        for bin in &mut self.by_quietness {
-            bin.restart([AdcCode::ZERO; GAGES]);
-        }
+        self.classes.restart();
     }
 
     /// Takes in one sample.
@@ -88,9 +82,22 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
     ///
     /// [`Refusal::OverflowAhead`] where the sums are full; what they hold stays good.
     pub fn offer(&mut self, codes: &[AdcCode; GAGES]) -> Result<Verdict, Refusal> {
-        let Self { gate, by_quietness, full } = self;
-        let verdict = gate.offer(codes, &mut |quietness, codes| push(by_quietness, full, quietness, codes));
-        full.map_or(Ok(verdict), Err)
+        self.offer_knowing(codes, AdcCode::any_is_saturated(codes))
+    }
+
+    /// As [`Bins::offer`], where it is known already whether any of the codes is saturated.
+    ///
+    /// # Errors
+    ///
+    /// As [`Bins::offer`].
+    pub fn offer_knowing(
+        &mut self,
+        codes: &[AdcCode; GAGES],
+        is_saturated: bool,
+    ) -> Result<Verdict, Refusal> {
+        let Self { gate, classes } = self;
+        let verdict = gate.offer(codes, is_saturated, &mut |quietness, codes| classes.push(quietness, codes));
+        classes.full().map_or(Ok(verdict), Err)
     }
 
     /// Takes in one sample past the gate, as if the load stood still.
@@ -102,23 +109,21 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
         if AdcCode::any_is_saturated(codes) {
             return Ok(Verdict::Saturated);
         }
-        push(&mut self.by_quietness, &mut self.full, Quietness::Still, codes);
-        self.full.map_or(Ok(Verdict::Accepted), Err)
+        self.classes.push(Quietness::Still, codes);
+        self.classes.full().map_or(Ok(Verdict::Accepted), Err)
     }
 
     /// Takes in what still waits in the gate. A sample that comes afterwards meets a gate that has seen nothing.
     pub fn finish(&mut self) {
-        let Self { gate, by_quietness, full } = self;
-        gate.finish(&mut |quietness, codes| push(by_quietness, full, quietness, codes));
+        let Self { gate, classes } = self;
+        gate.finish(&mut |quietness, codes| classes.push(quietness, codes));
         self.settle();
     }
 
     /// Brings every sample that has passed the gate into the long sums. To be called before the trial is solved; taking in
     /// more samples afterwards is fine.
     pub fn settle(&mut self) {
-        for bin in &mut self.by_quietness {
-            bin.settle();
-        }
+        self.classes.settle();
     }
 
     /// Solves the trial from what has been settled.
@@ -164,7 +169,8 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
     fn solve_accepting(&self, rank: Rank, accepted: f64) -> Result<QuietSolution<GAGES>, Refusal> {
         // By reference: moved out of its result, it would stand on the stack twice.
         let found = self.subspace(rank);
-        let (subspace, all) = found.as_ref().map_err(|refusal| *refusal)?;
+        let subspace = found.as_ref().map_err(|refusal| *refusal)?;
+        let all = &self.mean()?;
         let mut classes = Cumulative::new();
         self.sum_up(subspace, &mut classes);
         let disturbances = |up_to| {
@@ -185,26 +191,34 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
         }
         let (sums, up_to) = best.and_then(|(_, class)| classes.get(class)).ok_or(refusal)?;
         // Once more: a solution is large, and the sensor has not the room to keep one while it makes the next.
-        let solution = solve_within(subspace, all, sums, disturbances(*up_to), accepted)?;
-        Ok(QuietSolution { solution, up_to: *up_to })
+        answer(subspace, all, sums, *up_to, disturbances(*up_to), accepted)
     }
 
-    /// The subspace of all samples, and their mean.
+    /// The subspace of all samples.
     #[inline(never)]
-    fn subspace(&self, rank: Rank) -> Result<(Basis<GAGES>, CodeMean<GAGES>), Refusal> {
-        let mut all = CodeSums::new(*self.by_quietness[0].pivot());
-        for bin in &self.by_quietness {
-            all.add(bin.codes())?;
-        }
-        require_samples(all.count(), rank)?;
-        let subspace = basis(rank, &all.covariance(), all.count(), &self.gate.noise())?;
-        Ok((subspace, all.mean()))
+    fn subspace(&self, rank: Rank) -> Result<Basis<GAGES>, Refusal> {
+        let (covariance, samples) = self.covariance()?;
+        require_samples(samples, rank)?;
+        basis(rank, &covariance, samples, &self.gate.noise())
+    }
+
+    /// The covariance of the codes of all samples, and how many there are.
+    #[inline(never)]
+    fn covariance(&self) -> Result<(SMatrix<f64, GAGES, GAGES>, u64), Refusal> {
+        let all = self.classes.codes()?;
+        Ok((all.covariance(), all.count()))
+    }
+
+    /// The mean of the codes of all samples.
+    #[inline(never)]
+    fn mean(&self) -> Result<CodeMean<GAGES>, Refusal> {
+        Ok(self.classes.codes()?.mean())
     }
 
     /// The sums in the subspace, of the quietest class, of the two quietest, and so on; a class of no samples is left out.
     #[inline(never)]
     fn sum_up(&self, subspace: &Basis<GAGES>, classes: &mut Cumulative) {
-        for (bin, up_to) in self.by_quietness.iter().zip(Quietness::ALL) {
+        for (bin, up_to) in self.classes.iter().zip(Quietness::ALL) {
             if bin.count() > 0 {
                 let mut sums = project(bin, &subspace.projection, subspace.rank);
                 if let Some((quieter, _)) = classes.last() {
@@ -237,31 +251,28 @@ fn expected_error<const GAGES: usize>(
     disturbances: Disturbances,
     accepted: f64,
 ) -> Result<f64, Refusal> {
-    let solved = solve_within(subspace, all, quiet, disturbances, accepted);
-    let solution = solved.as_ref().map_err(|refusal| *refusal)?;
-    let (worst, shift) =
-        (solution.uncertainty.worst_relative(), SHIFT_OVER_UNEXPLAINED * solution.unexplained);
+    let fitted = fit(subspace, all, quiet, accepted);
+    let found = fitted.as_ref().map_err(|refusal| *refusal)?;
+    let predicted = uncertainty(subspace, found, disturbances, accepted);
+    let uncertainty = predicted.as_ref().map_err(|refusal| *refusal)?;
+    let (worst, shift) = (uncertainty.worst_relative(), SHIFT_OVER_UNEXPLAINED * found.unexplained);
     Ok(libm::sqrt(worst * worst + shift * shift))
 }
 
-fn push<const GAGES: usize, const HIGHER: usize>(
-    bins: &mut [Moments<GAGES, HIGHER>],
-    full: &mut Option<Refusal>,
-    quietness: Quietness,
-    codes: &[AdcCode; GAGES],
-) {
-    let samples = bins.iter().map(Moments::count).sum();
-    if samples >= MAX_SAMPLES {
-        *full = Some(Refusal::OverflowAhead { samples });
-        return;
-    }
-    if samples == 0 {
-        // The first sample is the pivot, which takes the offset out of all sums. They are empty already.
-        for bin in bins.iter_mut() {
-            bin.set_pivot(*codes);
-        }
-    }
-    if let Err(refusal) = bins[quietness as usize].push(codes) {
-        *full = Some(refusal);
-    }
+/// The solution from these sums.
+#[inline(never)]
+fn answer<const GAGES: usize>(
+    subspace: &Basis<GAGES>,
+    all: &CodeMean<GAGES>,
+    quiet: &MotionSums,
+    up_to: Quietness,
+    disturbances: Disturbances,
+    accepted: f64,
+) -> Result<QuietSolution<GAGES>, Refusal> {
+    // By reference, as above.
+    let fitted = fit(subspace, all, quiet, accepted);
+    let found = fitted.as_ref().map_err(|refusal| *refusal)?;
+    let predicted = uncertainty(subspace, found, disturbances, accepted);
+    let uncertainty = predicted.as_ref().map_err(|refusal| *refusal)?;
+    Ok(QuietSolution { solution: solution(subspace, found, uncertainty), up_to })
 }

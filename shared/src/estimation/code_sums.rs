@@ -79,6 +79,7 @@ impl<const GAGES: usize> CodeSums<GAGES> {
     /// The covariance of the codes (divisor n), counts².
     ///
     /// Computed as (n·ΣΔᵢΔⱼ − ΣΔᵢ·ΣΔⱼ)/n² with an exact numerator, so that it is rounded once.
+    #[inline(never)]
     pub fn covariance(&self) -> SMatrix<f64, GAGES, GAGES> {
         let samples = self.divisor();
         SMatrix::from_fn(|row, column| {

@@ -136,7 +136,8 @@ pub enum Verdict {
 /// The gate of one trial, over `GAGES` channels.
 #[derive(Clone, Debug)]
 pub struct Gate<const GAGES: usize> {
-    last: Option<[AdcCode; GAGES]>,
+    /// The block and the place in it of the sample before, where there is one.
+    last: Option<(usize, usize)>,
     /// Identical samples in a row, after the first.
     repeats: u32,
     /// The smallest change of any code from one sample to the next, counts; zero until there is one.
@@ -290,23 +291,27 @@ impl<const GAGES: usize> Gate<GAGES> {
         self.rest_noise.channels(self.step)
     }
 
-    /// Takes in one sample; `take` gets at most one earlier sample, in the order in which they came, and its class.
+    /// Takes in one sample; `take` gets at most one earlier sample, in the order in which they came, and its class. Whether
+    /// [any code is saturated](AdcCode::any_is_saturated) is asked of whoever offers them, who on the sensor knows it already.
     pub fn offer(
         &mut self,
         codes: &[AdcCode; GAGES],
+        is_saturated: bool,
         take: &mut impl FnMut(Quietness, &[AdcCode; GAGES]),
     ) -> Verdict {
         if let Some(number) = self.due.take() {
             self.release(number, number + REACH);
         }
         self.hand_out_next(take);
-        if AdcCode::any_is_saturated(codes) {
+        if is_saturated {
             return Verdict::Saturated;
         }
         if self.repeats(codes) && self.is_suspicious() {
             return Verdict::Repeated;
         }
-        let block = &mut self.blocks[self.complete as usize % WINDOW];
+        let place = self.complete as usize % WINDOW;
+        self.last = Some((place, self.filled));
+        let block = &mut self.blocks[place];
         block.codes[self.filled] = *codes;
         self.filled += 1;
         if self.filled < BLOCK {
@@ -349,13 +354,8 @@ impl<const GAGES: usize> Gate<GAGES> {
 
     /// Whether this is the sample before, once more; keeps count.
     fn repeats(&mut self, codes: &[AdcCode; GAGES]) -> bool {
-        let same = self.last.as_ref() == Some(codes);
-        if same {
-            self.repeats = self.repeats.saturating_add(1);
-        } else {
-            self.last = Some(*codes);
-            self.repeats = 0;
-        }
+        let same = self.last.is_some_and(|(place, number)| self.blocks[place].codes[number] == *codes);
+        self.repeats = if same { self.repeats.saturating_add(1) } else { 0 };
         same
     }
 

@@ -147,6 +147,34 @@ impl<const GAGES: usize> Batch<GAGES> {
     const EMPTY: Self =
         Self { samples: 0, difference: [[[0; HALF]; 2]; GAGES], rounded: [[[0.0; HALF]; 2]; GAGES] };
 
+    /// Puts a sample into its place.
+    #[inline]
+    fn put(&mut self, place: usize, codes: &[AdcCode; GAGES], pivot: &[AdcCode; GAGES]) {
+        let keep = |code: &AdcCode, pivot: &AdcCode, exact: &mut [[i32; HALF]; 2], rounded: &mut Lanes| {
+            let difference = code.counts() - pivot.counts();
+            exact.as_flattened_mut()[place] = difference;
+            rounded.as_flattened_mut()[place] = difference as f32 * (1.0 / UNIT);
+        };
+        let (fours, rest) = (codes.as_chunks::<4>(), pivot.as_chunks::<4>());
+        let (exact, rounded) = (self.difference.as_chunks_mut::<4>(), self.rounded.as_chunks_mut::<4>());
+        // Four at a time: see `monomials`.
+        for ((codes, pivot), (exact, rounded)) in
+            fours.0.iter().zip(rest.0).zip(exact.0.iter_mut().zip(rounded.0))
+        {
+            let [a, b, c, d] = exact;
+            let [e, f, g, h] = rounded;
+            keep(&codes[0], &pivot[0], a, e);
+            keep(&codes[1], &pivot[1], b, f);
+            keep(&codes[2], &pivot[2], c, g);
+            keep(&codes[3], &pivot[3], d, h);
+        }
+        for ((code, pivot), (exact, rounded)) in
+            fours.1.iter().zip(rest.1).zip(exact.1.iter_mut().zip(rounded.1))
+        {
+            keep(code, pivot, exact, rounded);
+        }
+    }
+
     /// Puts zeros where no sample is yet: what the batch before has left there.
     fn clear_rest(&mut self) {
         for (channel, rounded) in self.difference.iter_mut().zip(&mut self.rounded) {
@@ -214,11 +242,7 @@ impl<const GAGES: usize, const HIGHER: usize> Moments<GAGES, HIGHER> {
         debug_assert!(batch.samples < BATCH);
         // So that the compiler, too, knows that there is room.
         let place = batch.samples % BATCH;
-        for gage in 0..GAGES {
-            let difference = codes[gage].counts() - self.codes.pivot[gage].counts();
-            batch.difference[gage].as_flattened_mut()[place] = difference;
-            batch.rounded[gage].as_flattened_mut()[place] = difference as f32 * (1.0 / UNIT);
-        }
+        batch.put(place, codes, &self.codes.pivot);
         batch.samples += 1;
         let full = batch.samples == BATCH;
         self.codes.count += 1;

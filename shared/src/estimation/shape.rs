@@ -66,6 +66,24 @@ pub struct TrialSolution<const GAGES: usize> {
     pub uncertainty: TrialUncertainty,
 }
 
+/// Shape and bias, and what tells how well they are known: all of a solution that can be refused. The rest of a [`TrialSolution`]
+/// follows from it and is as large again, and the sensor's stack is small.
+#[derive(Clone, Debug)]
+pub(crate) struct Fit<const GAGES: usize> {
+    shape_counts_per_load: SMatrix<f64, MAX_RANK, GAGES>,
+    bias_counts: SVector<f64, GAGES>,
+    samples: u64,
+    /// Variance of |m|² that the noise does not explain.
+    pub(crate) unexplained: f64,
+    /// By how much unknown noise may have moved the constraint, in the orientation of the shape.
+    noise_shift: Option<NoiseShift>,
+    /// Takes the coordinates of the motion, in counts, to the load.
+    from_coordinates: MotionMatrix,
+    load_noise: MotionMatrix,
+    directions: DirectionMoments,
+    regressors: Regressors,
+}
+
 /// The fewest samples a trial of this rank needs: twice the unknowns of the metric constraint, since fewer fit exactly
 /// whatever the motion was.
 pub const fn least_samples(rank: Rank) -> u64 {
@@ -87,7 +105,10 @@ pub fn solve_trial<const GAGES: usize, const HIGHER: usize>(
     let subspace = basis(rank, &moments.codes().covariance(), moments.count(), &noise)?;
     let quiet = project(moments, &subspace.projection, rank);
     let disturbances = Disturbances { number: moments.count(), least: 0.0 };
-    solve_within(&subspace, &moments.codes().mean(), &quiet, disturbances, LARGEST_RELATIVE_UNCERTAINTY)
+    let all = moments.codes().mean();
+    let found = fit(&subspace, &all, &quiet, LARGEST_RELATIVE_UNCERTAINTY)?;
+    let uncertainty = uncertainty(&subspace, &found, disturbances, LARGEST_RELATIVE_UNCERTAINTY)?;
+    Ok(solution(&subspace, &found, &uncertainty))
 }
 
 /// A trial of too few samples is refused.
@@ -98,36 +119,39 @@ pub(crate) const fn require_samples(samples: u64, rank: Rank) -> Result<(), Refu
     Ok(())
 }
 
-/// Solves one trial within the subspace that `all` of its samples, of which this is the mean, have given; the metric
+/// Fits shape and bias of one trial within the subspace that `all` of its samples, of which this is the mean, have given; the metric
 /// constraint is taken from the `quiet` ones among them, as projected onto that subspace. For `accepted` see [`metric`].
 ///
 /// # Errors
 ///
-/// [`Refusal::TooFewSamples`], every refusal of [`metric`], and [`Refusal::MotionDoesNotSpan`] where any coefficient is more
-/// uncertain than `accepted`.
+/// [`Refusal::TooFewSamples`], every refusal of [`metric`].
 #[inline(never)]
-pub(crate) fn solve_within<const GAGES: usize>(
+pub(crate) fn fit<const GAGES: usize>(
     subspace: &Basis<GAGES>,
     all: &CodeMean<GAGES>,
     quiet: &MotionSums,
-    disturbances: Disturbances,
     accepted: f64,
-) -> Result<TrialSolution<GAGES>, Refusal> {
-    let samples = quiet.samples();
-    require_samples(samples, subspace.rank)?;
-    let Basis { rank, projection, embedding, variances, noise_variance, .. } = subspace;
-    let rank = *rank;
-    let deviations = variances.map(libm::sqrt);
-    let whitening = MotionMatrix::from_diagonal(&vector(rank, |axis| 1.0 / deviations[axis]));
-    // Where nothing tells the noise, there is at least the rounding.
-    let noise = noise_variance.unwrap_or(subspace.rounding);
-    let whitened_noise = vector(rank, |axis| noise / variances[axis]);
-    let (metric, noise_shift) = constraint(subspace, quiet, &whitening, noise, accepted)?;
+) -> Result<Fit<GAGES>, Refusal> {
+    require_samples(quiet.samples(), subspace.rank)?;
+    let (metric, noise_shift) = constraint(subspace, quiet, accepted)?;
+    fit_to(subspace, all, quiet, &metric, noise_shift)
+}
 
+/// Shape and bias by the metric (eq. 11).
+#[inline(never)]
+fn fit_to<const GAGES: usize>(
+    subspace: &Basis<GAGES>,
+    all: &CodeMean<GAGES>,
+    quiet: &MotionSums,
+    metric: &Metric,
+    noise_shift: Option<NoiseShift>,
+) -> Result<Fit<GAGES>, Refusal> {
+    let Basis { rank, projection, embedding, variances, .. } = subspace;
+    let rank = *rank;
     // M = LLᵀ makes m = Lᵀ(x − c) a unit vector, so z = b + VΛ^½L⁻ᵀm, V being the embedding: A = L⁻¹ in eq. 11, with
     // Ŝ = Λ^½Vᵀ.
     let factor = cholesky(&metric.matrix, rank).ok_or(Refusal::MetricNotPositiveDefinite)?;
-    let indeterminate_shape = MotionMatrix::from_diagonal(&deviations) * embedding.transpose();
+    let indeterminate_shape = MotionMatrix::from_diagonal(&variances.map(libm::sqrt)) * embedding.transpose();
     let shape =
         factor.l().solve_lower_triangular(&indeterminate_shape).ok_or(Refusal::MetricNotPositiveDefinite)?;
     // The orientation is arbitrary, so it is chosen: rows orthogonal, longest first.
@@ -138,16 +162,17 @@ pub(crate) fn solve_within<const GAGES: usize>(
     let quiet_from_all = quiet.mean() - projection.transpose() * all.from_pivot;
     let bias_counts =
         all.counts + embedding * quiet_from_all + indeterminate_shape.transpose() * metric.centre;
+    if shape_counts_per_load.iter().chain(bias_counts.iter()).any(|element| !element.is_finite()) {
+        return Err(Refusal::NonFinite);
+    }
 
     let to_direction = product(&orientation, &factor.l().transpose());
+    let whitening = subspace.whitening();
+    let from_coordinates = product(&to_direction, &whitening);
+    let whitened_noise = vector(rank, |axis| subspace.noise() / variances[axis]);
     let load_noise = carried(&to_direction, &MotionMatrix::from_diagonal(&whitened_noise));
-    let directions = directions(
-        rank,
-        quiet,
-        &product(&to_direction, &whitening),
-        &(to_direction * -metric.centre),
-        &load_noise,
-    );
+    let directions =
+        directions(rank, quiet, &from_coordinates, &(to_direction * -metric.centre), &load_noise);
     let mean_of_all = to_direction * (-metric.centre - whitening * quiet_from_all);
     // Whitened, the variances are one, noise included.
     let free_of_noise = product(&to_direction, &to_direction.transpose()) - load_noise;
@@ -156,36 +181,73 @@ pub(crate) fn solve_within<const GAGES: usize>(
         second: free_of_noise + mean_of_all * mean_of_all.transpose(),
         samples: all.samples,
     };
-    let unexplained =
-        if noise_shift.is_some() { metric.unexplained.max(LEAST_UNEXPLAINED) } else { metric.unexplained };
-    let unexplained = unexplained + lasting(rank, unexplained, &load_noise, samples, disturbances);
-    let mut uncertainty = predict(&directions, &regressors, &load_noise, noise, unexplained, samples)?;
-    if let Some(NoiseShift { metric, centre }) = noise_shift {
-        uncertainty.add_shift(&carried(&orientation, &metric), &(orientation * centre));
-    }
-    // A cap of directions may determine the principal values of the constraint, and leave the bias and a gain to trade places.
-    let worst = uncertainty.worst_relative();
-    if worst > accepted {
-        return Err(does_not_span(worst));
-    }
-
-    if shape_counts_per_load.iter().chain(bias_counts.iter()).any(|element| !element.is_finite()) {
-        return Err(Refusal::NonFinite);
-    }
-    Ok(TrialSolution {
-        rank,
+    Ok(Fit {
         shape_counts_per_load,
         bias_counts,
-        eigenvalues: subspace.eigenvalues,
-        noise_variance: *noise_variance,
-        samples,
+        samples: quiet.samples(),
         unexplained: metric.unexplained,
-        to_load: product(&to_direction, &whitening) * projection.transpose(),
+        noise_shift: noise_shift.map(|NoiseShift { metric, centre }| NoiseShift {
+            metric: carried(&orientation, &metric),
+            centre: orientation * centre,
+        }),
+        from_coordinates,
         load_noise,
-        redundant_noise: subspace.redundant_noise(),
         directions,
-        uncertainty,
+        regressors,
     })
+}
+
+/// How well a fit is known.
+///
+/// # Errors
+///
+/// [`Refusal::MotionDoesNotSpan`] where any coefficient is more uncertain than `accepted`, and every refusal of [`predict`].
+#[inline(never)]
+pub(crate) fn uncertainty<const GAGES: usize>(
+    subspace: &Basis<GAGES>,
+    found: &Fit<GAGES>,
+    disturbances: Disturbances,
+    accepted: f64,
+) -> Result<TrialUncertainty, Refusal> {
+    let Fit { samples, noise_shift, load_noise, directions, regressors, .. } = found;
+    let least = if noise_shift.is_some() { LEAST_UNEXPLAINED } else { 0.0 };
+    let unexplained = found.unexplained.max(least);
+    let unexplained = unexplained + lasting(subspace.rank, unexplained, load_noise, *samples, disturbances);
+    let mut predicted = predict(directions, regressors, load_noise, subspace.noise(), unexplained, *samples);
+    if let Ok(uncertainty) = &mut predicted {
+        if let Some(NoiseShift { metric, centre }) = noise_shift {
+            uncertainty.add_shift(metric, centre);
+        }
+        // A cap of directions may determine the principal values of the constraint, and leave the bias and a gain to trade places.
+        let worst = uncertainty.worst_relative();
+        if worst > accepted {
+            return Err(does_not_span(worst));
+        }
+    }
+    predicted
+}
+
+/// The whole solution. Never inlined, so that it is made where it is to be.
+#[inline(never)]
+pub(crate) fn solution<const GAGES: usize>(
+    subspace: &Basis<GAGES>,
+    found: &Fit<GAGES>,
+    uncertainty: &TrialUncertainty,
+) -> TrialSolution<GAGES> {
+    TrialSolution {
+        rank: subspace.rank,
+        shape_counts_per_load: found.shape_counts_per_load,
+        bias_counts: found.bias_counts,
+        eigenvalues: subspace.eigenvalues,
+        noise_variance: subspace.noise_variance,
+        samples: found.samples,
+        unexplained: found.unexplained,
+        to_load: found.from_coordinates * subspace.projection.transpose(),
+        load_noise: found.load_noise,
+        redundant_noise: subspace.redundant_noise(),
+        directions: found.directions.clone(),
+        uncertainty: uncertainty.clone(),
+    }
 }
 
 /// What is to be added to the variance of |m|² per sample for disturbances of the magnitude that last, so that it may be divided by
@@ -223,13 +285,11 @@ fn lasting(
 fn constraint<const GAGES: usize>(
     subspace: &Basis<GAGES>,
     quiet: &MotionSums,
-    whitening: &MotionMatrix,
-    noise_variance: f64,
     accepted: f64,
 ) -> Result<(Metric, Option<NoiseShift>), Refusal> {
-    let whitened = quiet.central().transformed(whitening);
+    let whitened = quiet.central().transformed(&subspace.whitening());
     let (rank, variances, samples) = (subspace.rank, &subspace.variances, quiet.samples());
-    let metric = metric(rank, &whitened, variances, noise_variance, samples, accepted)?;
+    let metric = metric(rank, &whitened, variances, subspace.noise(), samples, accepted)?;
     let noise_shift = match subspace.noise_variance {
         Some(_) => None,
         None => Some(require_indifference_to_noise(rank, &whitened, variances, &metric, samples, accepted)?),

@@ -192,7 +192,7 @@ mod target {
         for sample in 0..GATED {
             let codes = codes(sample);
             gated += ticks(|| {
-                black_box(gate.offer(black_box(&codes), &mut |quietness, codes| {
+                black_box(gate.offer(black_box(&codes), black_box(false), &mut |quietness, codes| {
                     black_box((quietness, codes));
                 }));
             });

@@ -44,7 +44,7 @@ impl Bench {
             let codes = shape.map(|(x, y)| {
                 AdcCode::saturating((x * libm::cos(turn) + y * libm::sin(turn) + noise) as i64)
             });
-            self.trial.offer(SampleIndex::new(sample), &codes);
+            self.trial.offer(SampleIndex::new(sample), &codes, false);
         }
     }
 

@@ -42,38 +42,22 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
                 self.gate.save(put);
                 0
             }
-            Part::Class(class) => self.by_quietness[class as usize].save(put),
+            Part::Class(class) => self.classes.save(class, put),
         }
     }
 
     /// Restores all parts in the order of [`Part::ALL`]. `None`, and no sums, where they cannot be what was saved.
     pub fn restore(&mut self, take: &mut impl FnMut() -> Option<u32>) -> Option<()> {
-        let restored = self.restore_parts(take);
+        let restored = self.gate.restore(take).and_then(|()| self.classes.restore(take));
         if restored.is_none() {
             self.restart();
         }
         restored
     }
 
-    fn restore_parts(&mut self, take: &mut impl FnMut() -> Option<u32>) -> Option<()> {
-        self.full = None;
-        self.gate.restore(take)?;
-        for bin in &mut self.by_quietness {
-            bin.restore(take)?;
-        }
-        // The first sample of all was the pivot; a class that was saved before it came has none of its own.
-        let pivot = *self.by_quietness.iter().find(|bin| bin.count() > 0)?.pivot();
-        for bin in &mut self.by_quietness {
-            if bin.count() == 0 {
-                bin.restart(pivot);
-            }
-        }
-        self.by_quietness.iter().all(|bin| *bin.pivot() == pivot).then_some(())
-    }
-
     /// Samples in the sums.
-    pub fn count(&self) -> u64 {
-        self.by_quietness.iter().map(super::Moments::count).sum()
+    pub const fn count(&self) -> u64 {
+        self.classes.count()
     }
 }
 
