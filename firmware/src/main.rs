@@ -382,7 +382,7 @@ mod app {
         }
     }
 
-    /// Sends what has come of a job, if one has ended. These and the next say whether anything was sent.
+    /// Sends what has come of a job, if one has ended. This and the next three say whether anything was sent.
     #[inline(never)]
     fn tell_outcome(context: &mut session::Context<'_>) -> bool {
         let outcome = context.shared.outcome.lock(Option::take);

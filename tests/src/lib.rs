@@ -1,4 +1,5 @@
-//! What the tests that cross crate borders have in common: simulated trials with a known truth.
+//! What the tests that cross crate borders have in common: simulated trials with a known truth, and patience with
+//! emulated boards.
 
 pub mod hand;
 #[cfg(unix)]

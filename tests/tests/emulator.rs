@@ -27,6 +27,7 @@ use ftcal_shared::units::{AdcCode, DataRate, DeviceTime, Gain, Rank};
 use ftcal_shared::wire::{AdcState, ClockSource, CodesFrame, StreamKind, TrialPhase};
 use nalgebra::{SMatrix, UnitVector3, Vector3};
 
+use ftcal_tests::patience::connect;
 use ftcal_tests::truth::{true_calibration, true_matrix};
 
 /// Gages of the image.
@@ -62,11 +63,6 @@ fn wrist() -> Scenario {
 
 fn emulate(converter: impl TunnelledConverter + Send + 'static) -> Emulator {
     Emulator::start(&image("ftcal-emulated.elf"), converter, Pace::AsHandled).unwrap()
-}
-
-fn connect(emulator: &Emulator) -> Client<SerialTransport> {
-    let path = emulator.link().to_str().unwrap();
-    Client::connect(SerialTransport::open(path).unwrap()).unwrap()
 }
 
 /// Waits until the board says this of its converter. It must answer all the while.

@@ -95,7 +95,7 @@ proptest! {
         let allowed = one_pass.uncertainty.worst_relative() / 4.0;
         for other in [right, one_pass] {
             let difference = shape_difference(&left.shape_counts_per_load, &other.shape_counts_per_load);
-            prop_assert!(difference < allowed, "{difference}");
+            prop_assert!(difference < allowed, "{difference} > {allowed}");
         }
     }
 

@@ -7,14 +7,13 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use ftcal::link::client::Client;
-use ftcal::link::serial::SerialTransport;
 use ftcal::simulator::bench::Bench;
 use ftcal::simulator::bus::SharedBench;
 use ftcal::simulator::emulator::Emulator;
 use ftcal::simulator::scenario::{Scenario, ScenarioKind};
 use ftcal::simulator::tunnel::Pace;
 use ftcal_shared::wire::{Failure, ResetCause};
+use ftcal_tests::patience::connect;
 use object::read::elf::ElfFile32;
 use object::{Object, ObjectSection, ObjectSymbol};
 
@@ -45,10 +44,6 @@ fn write_image(instructions: &[u8], path: &Path) -> u32 {
     bytes[offset..offset + instructions.len()].copy_from_slice(instructions);
     fs::write(path, bytes).unwrap();
     u32::try_from(address).unwrap()
-}
-
-fn connect(emulator: &Emulator) -> Client<SerialTransport> {
-    Client::connect(SerialTransport::open(emulator.link().to_str().unwrap()).unwrap()).unwrap()
 }
 
 /// What the sensor says of its reset, after it was asked for what it fails at; and where that is.

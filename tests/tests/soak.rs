@@ -10,7 +10,6 @@ use std::time::{Duration, Instant};
 
 use ftcal::link::client::Client;
 use ftcal::link::frame::{Frame, Measured, NoWrench, WrenchSample};
-use ftcal::link::serial::SerialTransport;
 use ftcal::link::transport::Transport;
 use ftcal::simulator::bench::Bench;
 use ftcal::simulator::board::SimulatedBoard;
@@ -24,6 +23,7 @@ use ftcal_shared::units::{DataRate, Gain, SampleIndex};
 use ftcal_shared::wire::{Status, StreamKind};
 use nalgebra::{DMatrix, DVector, UnitVector3, Vector3};
 
+use ftcal_tests::patience::connect;
 use ftcal_tests::truth::{true_calibration, true_matrix};
 
 /// Asks for all of it.
@@ -197,8 +197,7 @@ fn ten_minutes_in_the_emulator() {
         bench.turn();
     });
     let emulator = Emulator::start(&image, bench.clone(), Pace::RealTime).unwrap();
-    let port = emulator.link().to_str().unwrap().to_owned();
-    let mut client = Client::connect(SerialTransport::open(&port).unwrap()).unwrap();
+    let mut client = connect(&emulator);
     client.configure_adc(RATE, Gain::X128).unwrap();
     client.upload_calibration(&true_calibration(&scenario.sensor)).unwrap();
     client.start_trial(3).unwrap();

@@ -60,7 +60,7 @@ use ftcal_shared::estimation::bins::Bins;
 use ftcal_shared::estimation::coverage::progress;
 use ftcal_shared::refusal::Refusal;
 use ftcal_shared::units::DeviceTime;
-use ftcal_shared::wire::{FieldOutcome, FieldPhase, FieldRefusal, Response};
+use ftcal_shared::wire::{Coverage, FieldOutcome, FieldPhase, FieldRefusal};
 
 use crate::storage::items::StoredCalibration;
 use crate::storage::job::{StoreJob, Stored};
@@ -123,15 +123,17 @@ where
     }
 }
 
-/// How many quarters of its way a trial has behind it. A function of its own, as the next: the sensor's stack is small.
+/// How many quarters of its way a trial has behind it; too little to tell is nothing yet. A function of its own, as the next: the sensor's
+/// stack is small.
 #[inline(never)]
 fn look<Store, const GAGES: usize, const HIGHER: usize>(job: &mut SolveJob<Store, GAGES, HIGHER>) -> u8
 where
     Store: DerefMut<Target = Bins<GAGES, HIGHER>>,
 {
-    quarters(&job.response())
+    job.coverage().map_or(0, |coverage| quarters(&coverage))
 }
 
+/// Solves the trial, and judges the calibration by it.
 #[inline(never)]
 fn solve_and_judge<Store, const GAGES: usize, const HIGHER: usize>(
     job: &mut SolveJob<Store, GAGES, HIGHER>,
@@ -153,16 +155,12 @@ where
 }
 
 /// How many quarters of its way a trial has behind it, by what it knows and by where the load has been.
-fn quarters(coverage: &Response) -> u8 {
-    match coverage {
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "from 0 to 4")]
-        Response::Coverage(coverage) => {
-            let known = progress(coverage.worst_relative_uncertainty.into(), SUFFICIENT_UNCERTAINTY);
-            let been = (coverage.fraction / SUFFICIENT_FRACTION).min(1.0);
-            (f32::from(WHOLE) * been.min(known as f32)) as u8
-        }
-        // Too little to tell is nothing yet.
-        _ => 0,
+fn quarters(coverage: &Coverage) -> u8 {
+    let known = progress(coverage.worst_relative_uncertainty.into(), SUFFICIENT_UNCERTAINTY);
+    let been = (coverage.fraction / SUFFICIENT_FRACTION).min(1.0);
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "from 0 to 4")]
+    {
+        (f32::from(WHOLE) * been.min(known as f32)) as u8
     }
 }
 

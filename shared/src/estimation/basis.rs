@@ -129,7 +129,7 @@ fn basis_of_white_codes<const GAGES: usize>(
     Some(outcome)
 }
 
-/// L of LLᵀ = R; this and the steps that follow are functions of their own because the sensor's stack is small.
+/// L of LLᵀ = R. A function of its own, as are the other steps here: the sensor's stack is small.
 #[inline(never)]
 fn lower_factor<const GAGES: usize>(
     relative: &SMatrix<f64, GAGES, GAGES>,
@@ -145,7 +145,7 @@ fn colour<const GAGES: usize>(found: &mut Basis<GAGES>, factor: &SMatrix<f64, GA
     Some(())
 }
 
-/// The covariance has no negative eigenvalue; rounding may give it one.
+/// All eigenvalues of the covariance, descending, none below zero: rounding may make one negative.
 #[inline(never)]
 fn eigenvalues_of<const GAGES: usize>(
     covariance: &SMatrix<f64, GAGES, GAGES>,
@@ -163,7 +163,7 @@ fn whitened<const GAGES: usize>(
     factor.solve_lower_triangular(&halfway.transpose())
 }
 
-/// The same where R is the identity.
+/// The basis where R is the identity.
 #[inline(never)]
 fn basis_of_equal_channels<const GAGES: usize>(
     rank: Rank,

@@ -28,6 +28,7 @@ use super::expectation::Expectation;
 use super::gate::{Episodes, Gate, Quietness, Verdict};
 use super::metric::LARGEST_RELATIVE_UNCERTAINTY;
 use super::projection::{MotionSums, project};
+use super::reorientation::MODEL_ERROR;
 use super::shape::{Disturbances, TrialSolution, fit, require_samples, solution, uncertainty};
 use crate::refusal::Refusal;
 use crate::units::{AdcCode, Rank};
@@ -35,14 +36,11 @@ use crate::units::{AdcCode, Rank};
 /// Shift of the gains over the unexplained variance of |m|².
 const SHIFT_OVER_UNEXPLAINED: f64 = 0.375;
 
-/// How much of a gage's answer no linear shape explains, relative: three times what a real sensor shows at rest (design § 5).
-const MODEL_ERROR: f64 = 3e-4;
-
 /// The largest relative standard deviation of a principal value of the constraint with which a direction can be named: a
 /// gain known within a half.
 const ROUGHEST: f64 = 1.0;
 
-/// Gate and sums of one trial over `GAGES` channels. For `HIGHER` see [`Moments`].
+/// Gate and sums of one trial over `GAGES` channels. For `HIGHER` see [`Moments`](super::moments::Moments).
 #[derive(Clone, Debug)]
 pub struct Bins<const GAGES: usize, const HIGHER: usize> {
     gate: Gate<GAGES>,
@@ -171,15 +169,15 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
         let found = self.subspace(rank);
         let subspace = found.as_ref().map_err(|refusal| *refusal)?;
         let all = &self.mean()?;
-        let mut classes = Cumulative::new();
-        self.sum_up(subspace, &mut classes);
+        let mut cumulative = Cumulative::new();
+        self.sum_up(subspace, &mut cumulative);
         let disturbances = |up_to| {
             let ungated = Disturbances { number: all.samples, least: 0.0 };
             self.gate.episodes().map_or(ungated, |episodes| disturbances(episodes, up_to))
         };
         let mut best: Option<(f64, usize)> = None;
         let mut refusal = Refusal::NonFinite;
-        for (class, (sums, up_to)) in classes.iter().enumerate() {
+        for (class, (sums, up_to)) in cumulative.iter().enumerate() {
             match expected_error(subspace, all, sums, disturbances(*up_to), accepted) {
                 Err(cause) => refusal = cause,
                 Ok(error) => {
@@ -189,7 +187,7 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
                 }
             }
         }
-        let (sums, up_to) = best.and_then(|(_, class)| classes.get(class)).ok_or(refusal)?;
+        let (sums, up_to) = best.and_then(|(_, class)| cumulative.get(class)).ok_or(refusal)?;
         // Once more: a solution is large, and the sensor has not the room to keep one while it makes the next.
         answer(subspace, all, sums, *up_to, disturbances(*up_to), accepted)
     }
@@ -217,14 +215,14 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
 
     /// The sums in the subspace, of the quietest class, of the two quietest, and so on; a class of no samples is left out.
     #[inline(never)]
-    fn sum_up(&self, subspace: &Basis<GAGES>, classes: &mut Cumulative) {
+    fn sum_up(&self, subspace: &Basis<GAGES>, cumulative: &mut Cumulative) {
         for (bin, up_to) in self.classes.iter().zip(Quietness::ALL) {
             if bin.count() > 0 {
                 let mut sums = project(bin, &subspace.projection, subspace.rank);
-                if let Some((quieter, _)) = classes.last() {
+                if let Some((quieter, _)) = cumulative.last() {
                     sums.add(quieter);
                 }
-                classes.extend([(sums, up_to)]);
+                cumulative.extend([(sums, up_to)]);
             }
         }
     }
@@ -233,8 +231,9 @@ impl<const GAGES: usize, const HIGHER: usize> Bins<GAGES, HIGHER> {
 /// Every rest and every movement has a disturbance of its own. In a rest it is as large as what no linear shape explains, for all that
 /// is known of it.
 const fn disturbances(episodes: Episodes, up_to: Quietness) -> Disturbances {
+    let of_model = MODEL_ERROR as f64;
     match up_to {
-        Quietness::Still => Disturbances { number: episodes.rests, least: 4.0 * MODEL_ERROR * MODEL_ERROR },
+        Quietness::Still => Disturbances { number: episodes.rests, least: 4.0 * of_model * of_model },
         Quietness::Slow | Quietness::Fast => Disturbances { number: episodes.all, least: 0.0 },
     }
 }

@@ -460,3 +460,29 @@ impl<const GAGES: usize> Gate<GAGES> {
         calmer
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{BLOCK, Gate};
+    use crate::units::AdcCode;
+
+    #[test]
+    fn repetitions_are_counted_across_blocks_and_saturated_samples_and_end_with_the_trial() {
+        let codes = |counts: i64| [AdcCode::saturating(counts), AdcCode::saturating(-counts)];
+        let mut gate = Gate::<2>::new();
+        let mut repeats_after = |codes: [AdcCode; 2], is_saturated: bool| {
+            gate.offer(&codes, is_saturated, &mut |_, _| {});
+            gate.repeats
+        };
+        for sample in 0..3 * BLOCK {
+            assert_eq!(repeats_after(codes(100), false) as usize, sample);
+        }
+        assert_eq!(repeats_after(codes(101), false), 0);
+        assert_eq!(repeats_after([AdcCode::MAX, AdcCode::ZERO], true), 0);
+        assert_eq!(repeats_after(codes(101), false), 1);
+        assert_eq!(repeats_after(codes(100), false), 0);
+        gate.finish(&mut |_, _| {});
+        gate.offer(&codes(100), false, &mut |_, _| {});
+        assert_eq!(gate.repeats, 0);
+    }
+}

@@ -155,22 +155,23 @@ impl<const GAGES: usize> Batch<GAGES> {
             exact.as_flattened_mut()[place] = difference;
             rounded.as_flattened_mut()[place] = difference as f32 * (1.0 / UNIT);
         };
-        let (fours, rest) = (codes.as_chunks::<4>(), pivot.as_chunks::<4>());
-        let (exact, rounded) = (self.difference.as_chunks_mut::<4>(), self.rounded.as_chunks_mut::<4>());
+        let ((code_fours, code_rest), (pivot_fours, pivot_rest)) =
+            (codes.as_chunks::<4>(), pivot.as_chunks::<4>());
+        let (exact_fours, exact_rest) = self.difference.as_chunks_mut::<4>();
+        let (rounded_fours, rounded_rest) = self.rounded.as_chunks_mut::<4>();
         // Four at a time: see `monomials`.
-        for ((codes, pivot), (exact, rounded)) in
-            fours.0.iter().zip(rest.0).zip(exact.0.iter_mut().zip(rounded.0))
+        let four_to_keep = exact_fours.iter_mut().zip(rounded_fours);
+        for (([a, b, c, d], [e, f, g, h]), (exact, rounded)) in
+            code_fours.iter().zip(pivot_fours).zip(four_to_keep)
         {
-            let [a, b, c, d] = exact;
-            let [e, f, g, h] = rounded;
-            keep(&codes[0], &pivot[0], a, e);
-            keep(&codes[1], &pivot[1], b, f);
-            keep(&codes[2], &pivot[2], c, g);
-            keep(&codes[3], &pivot[3], d, h);
+            let ([i, j, k, l], [m, n, o, p]) = (exact, rounded);
+            keep(a, e, i, m);
+            keep(b, f, j, n);
+            keep(c, g, k, o);
+            keep(d, h, l, p);
         }
-        for ((code, pivot), (exact, rounded)) in
-            fours.1.iter().zip(rest.1).zip(exact.1.iter_mut().zip(rounded.1))
-        {
+        let to_keep = exact_rest.iter_mut().zip(rounded_rest);
+        for ((code, pivot), (exact, rounded)) in code_rest.iter().zip(pivot_rest).zip(to_keep) {
             keep(code, pivot, exact, rounded);
         }
     }

@@ -69,6 +69,7 @@ impl<const GAGES: usize> ChannelNoise<GAGES> {
 
     /// Whether all channels are taken to be equally noisy and independent.
     pub fn is_equal(&self) -> bool {
+        // Element by element: an identity to compare with would stand on the stack.
         let is_diagonal = |place: usize| place.is_multiple_of(GAGES + 1);
         self.relative
             .iter()

@@ -66,8 +66,8 @@ pub struct TrialSolution<const GAGES: usize> {
     pub uncertainty: TrialUncertainty,
 }
 
-/// Shape and bias, and what tells how well they are known: all of a solution that can be refused. The rest of a [`TrialSolution`]
-/// follows from it and is as large again, and the sensor's stack is small.
+/// Shape and bias, and what their uncertainty is predicted from. The rest of a [`TrialSolution`] follows from it and is as large again, and
+/// the sensor's stack is small.
 #[derive(Clone, Debug)]
 pub(crate) struct Fit<const GAGES: usize> {
     shape_counts_per_load: SMatrix<f64, MAX_RANK, GAGES>,

@@ -110,6 +110,20 @@ mod tests {
     use super::AdcCode;
 
     #[test]
+    fn four_codes_in_a_row_are_those_of_their_bytes() {
+        let words = [[0x80, 0x01, 0xfe], [0x7f, 0xff, 0x80], [0x00, 0x9a, 0x05], [0xff, 0x10, 0xc3]];
+        for turn in 0..4 {
+            let mut turned = words;
+            turned.rotate_left(turn);
+            assert_eq!(AdcCode::four_from_be_bytes(&turned), turned.map(AdcCode::from_be_bytes));
+        }
+        assert_eq!(
+            AdcCode::four_from_be_bytes(&words).map(AdcCode::counts),
+            [-8_388_098, 8_388_480, 39_429, -61_245]
+        );
+    }
+
+    #[test]
     fn of_any_number_of_codes_one_that_is_saturated_is_found() {
         let within = [AdcCode(AdcCode::MIN.0 + 1), AdcCode(-1), AdcCode::ZERO, AdcCode(AdcCode::MAX.0 - 1)];
         for count in 0..=12 {

@@ -43,6 +43,7 @@ fn check_faults<const GAGES: usize, const HIGHER: usize>(kind: ScenarioKind, see
             let begin = rig.now_micros();
             let what = format!("{kind:?} {fault:?} at {} /s", rate.hertz());
             let noise = rig.noise() * 6.0;
+            let answer = rig.matrix().column(gage).abs();
             let mut flagged = None;
             let mut before = Vec::new();
             while rig.now_micros() < begin + ACTING_MICROS {
@@ -64,7 +65,7 @@ fn check_faults<const GAGES: usize, const HIGHER: usize>(kind: ScenarioKind, see
                     }
                     _ => 0.0,
                 };
-                let allowed = &noise + rig.matrix().column(gage).abs() * off;
+                let allowed = &noise + &answer * off;
                 for measurement in step.measurements {
                     if let Measurement::Valid { wrench, .. } = measurement {
                         assert_near(&wrench, &step.truth, &allowed, &what);

@@ -192,7 +192,8 @@ mod target {
         for sample in 0..GATED {
             let codes = codes(sample);
             gated += ticks(|| {
-                black_box(gate.offer(black_box(&codes), black_box(false), &mut |quietness, codes| {
+                let is_saturated = AdcCode::any_is_saturated(black_box(&codes));
+                black_box(gate.offer(black_box(&codes), is_saturated, &mut |quietness, codes| {
                     black_box((quietness, codes));
                 }));
             });

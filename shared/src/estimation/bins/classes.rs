@@ -103,3 +103,36 @@ impl<const GAGES: usize, const HIGHER: usize> Classes<GAGES, HIGHER> {
         self.by_quietness.iter().all(|bin| *bin.pivot() == pivot).then_some(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::Classes;
+    use crate::estimation::code_sums::MAX_SAMPLES;
+    use crate::estimation::gate::Quietness;
+    use crate::refusal::Refusal;
+    use crate::units::AdcCode;
+
+    fn codes(counts: i64) -> [AdcCode; 2] {
+        [counts, -2 * counts].map(AdcCode::saturating)
+    }
+
+    #[test]
+    fn a_sample_too_many_is_refused_and_what_there_is_stays() {
+        let mut classes = Classes::<2, 9>::new();
+        classes.push(Quietness::Still, &codes(5));
+        classes.push(Quietness::Fast, &codes(9));
+        classes.count = MAX_SAMPLES;
+        classes.push(Quietness::Still, &codes(7));
+        assert_eq!(classes.full(), Some(Refusal::OverflowAhead { samples: MAX_SAMPLES }));
+        assert_eq!(classes.count(), MAX_SAMPLES);
+        classes.settle();
+        let sums = classes.codes().unwrap();
+        assert_eq!((sums.count(), sums.mean().counts.as_slice()), (2, &[7.0, -14.0][..]));
+
+        classes.restart();
+        assert_eq!((classes.count(), classes.full()), (0, None));
+        classes.push(Quietness::Slow, &codes(3));
+        assert_eq!((classes.count(), classes.full()), (1, None));
+        assert!(classes.iter().all(|class| *class.pivot() == codes(3)));
+    }
+}
