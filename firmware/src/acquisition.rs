@@ -295,7 +295,9 @@ impl<Spi: SpiDevice<u8>, const GAGES: usize> Acquisition<Spi, GAGES> {
             self.until_question = left;
             return false;
         }
-        self.until_question = (self.orders.settings.data_rate.hertz() / (1_000_000 / QUESTION_MICROS)).max(1);
+        // This one counts; and at the lowest rate, too, the converter is to have a word about itself in between.
+        let period = self.orders.settings.data_rate.hertz() / (1_000_000 / QUESTION_MICROS);
+        self.until_question = period.saturating_sub(1).max(1);
         true
     }
 

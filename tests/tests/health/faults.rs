@@ -24,7 +24,8 @@ fn converter_faults(gage: usize) -> Vec<(Fault, &'static [StatusBit])> {
         (Fault::BusBitErrors { probability: 0.01 }, &[StatusBit::ReplyDisturbed, StatusBit::AdcFault]),
         (Fault::DataReadyLost { probability: 1.0 }, &[StatusBit::AdcFault]),
         (Fault::DataReadyLost { probability: 0.5 }, &[StatusBit::ConversionsLost, StatusBit::AdcFault]),
-        (Fault::LateReply, &[StatusBit::ReplyDisturbed]),
+        // Where it meets a question, the answer to it is missing, and that is a fault.
+        (Fault::LateReply, &[StatusBit::ReplyDisturbed, StatusBit::AdcFault]),
         (Fault::WrongIdentity { id: 0x2400 }, &[StatusBit::AdcFault]),
         (Fault::ConverterMissing, &[StatusBit::AdcFault]),
     ]
@@ -33,15 +34,33 @@ fn converter_faults(gage: usize) -> Vec<(Fault, &'static [StatusBit])> {
 /// How long a fault acts.
 const ACTING_MICROS: u64 = 300_000;
 
+/// A thousand times a second, every so many conversions the converter is asked who it is.
+const BETWEEN_QUESTIONS: u32 = 8;
+
+/// Plays every fault at every conversion between two questions to the converter.
 fn check_faults<const GAGES: usize, const HIGHER: usize>(kind: ScenarioKind, seed: u64, rate: DataRate) {
+    for waiting in 0..BETWEEN_QUESTIONS {
+        check_faults_after::<GAGES, HIGHER>(waiting, kind, seed, rate);
+    }
+}
+
+fn check_faults_after<const GAGES: usize, const HIGHER: usize>(
+    waiting: u32,
+    kind: ScenarioKind,
+    seed: u64,
+    rate: DataRate,
+) {
     let scenario = scenario(kind, seed);
     for gage in 0..GAGES {
         // Of those that concern no gage once is enough.
         for (fault, bits) in converter_faults(gage).into_iter().take(if gage == 0 { 11 } else { 5 }) {
             let mut rig = Rig::<GAGES, HIGHER>::of(&scenario, seed, rate);
+            for _ in 0..waiting {
+                rig.step();
+            }
             rig.bench.with(|bench| bench.inject(fault));
             let begin = rig.now_micros();
-            let what = format!("{kind:?} {fault:?} at {} /s", rate.hertz());
+            let what = format!("{kind:?} {fault:?} at {} /s, {waiting} conversions later", rate.hertz());
             let noise = rig.noise() * 6.0;
             let answer = rig.matrix().column(gage).abs();
             let mut flagged = None;
