@@ -2,6 +2,7 @@
 //! emulated boards.
 
 pub mod hand;
+pub mod image;
 #[cfg(unix)]
 pub mod patience;
 pub mod truth;

@@ -4,7 +4,7 @@
 //! `tests/run` builds them and sees to the emulator. One board at a time: two would be too slow for a small machine.
 #![cfg(unix)]
 
-use std::path::PathBuf;
+use std::fs;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::Duration;
@@ -12,10 +12,12 @@ use std::time::Duration;
 use ftcal::link::client::Client;
 use ftcal::link::frame::{Frame, Measured};
 use ftcal::link::serial::SerialTransport;
+use ftcal::logs::LogStrings;
 use ftcal::simulator::bench::Bench;
 use ftcal::simulator::bus::SharedBench;
 use ftcal::simulator::emulator::Emulator;
 use ftcal::simulator::fault::Fault;
+use ftcal::simulator::flash::SimulatedFlash;
 use ftcal::simulator::scenario::{Scenario, ScenarioKind};
 use ftcal::simulator::tunnel::{Pace, TunnelledConverter};
 use ftcal_firmware::baud::DEFAULT_BAUD;
@@ -27,6 +29,7 @@ use ftcal_shared::units::{AdcCode, DataRate, DeviceTime, Gain, Rank};
 use ftcal_shared::wire::{AdcState, ClockSource, CodesFrame, StreamKind, TrialPhase};
 use nalgebra::{SMatrix, UnitVector3, Vector3};
 
+use ftcal_tests::image::{self, LARGEST_RAM};
 use ftcal_tests::patience::connect;
 use ftcal_tests::truth::{true_calibration, true_matrix};
 
@@ -49,10 +52,6 @@ fn alone() -> MutexGuard<'static, ()> {
     ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-fn image(name: &str) -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../target/images").join(name)
-}
-
 fn bench_of(scenario: &Scenario) -> SharedBench {
     SharedBench::new(Bench::new(scenario.sensor.clone(), 1))
 }
@@ -62,7 +61,7 @@ fn wrist() -> Scenario {
 }
 
 fn emulate(converter: impl TunnelledConverter + Send + 'static) -> Emulator {
-    Emulator::start(&image("ftcal-emulated.elf"), converter, Pace::AsHandled).unwrap()
+    Emulator::start(&image::path("ftcal-emulated.elf"), converter, Pace::AsHandled).unwrap()
 }
 
 /// Waits until the board says this of its converter. It must answer all the while.
@@ -183,6 +182,35 @@ fn a_trial_is_run_and_solved_and_wrenches_are_measured() {
     let diagnosis = client.diagnosis().unwrap();
     println!("stack_used {}", diagnosis.stack_used_bytes);
     assert!(diagnosis.stack_used_bytes < diagnosis.stack_bytes);
+    let variables = image::sizes(&image::path("ftcal-emulated.elf")).ram;
+    assert!(
+        variables + u64::from(diagnosis.stack_used_bytes) <= LARGEST_RAM,
+        "{variables} bytes, {diagnosis:?}"
+    );
+}
+
+#[test]
+#[ignore = "needs the images and the emulator: tests/run provides both"]
+fn the_log_says_what_the_image_is_and_what_becomes_of_its_converter() {
+    let _alone = alone();
+    let folder = tempfile::tempdir().unwrap();
+    let (image, log) = (image::path("ftcal-emulated.elf"), folder.path().join("log"));
+    let flash = SimulatedFlash::default();
+    let emulator =
+        Emulator::start_with(&image, bench_of(&wrist()), flash, Pace::AsHandled, Some(&log)).unwrap();
+    wait_for(&mut connect(&emulator), AdcState::Running);
+    drop(emulator);
+
+    let (strings, mut words) = (LogStrings::read(&image).unwrap(), Vec::new());
+    let decoded = strings.reader().take_in(&fs::read(&log).unwrap(), &mut words).unwrap();
+    let words = String::from_utf8(words).unwrap();
+    assert_eq!(decoded.damaged, 0, "{words}");
+    let first = words.lines().next().unwrap();
+    assert!(
+        first.contains(concat!("ftcal ", env!("CARGO_PKG_VERSION"))) && first.contains("InternalFallback"),
+        "{words}"
+    );
+    assert!(words.lines().any(|line| line.contains("converter: Running")), "{words}");
 }
 
 #[test]
@@ -242,7 +270,7 @@ fn the_image_of_the_olimex_board_starts_and_says_that_its_bus_is_empty() {
 fn starts_and_says_that_its_bus_is_empty(name: &str) {
     let _alone = alone();
     let converter = bench_of(&wrist());
-    let emulator = Emulator::start(&image(name), converter, Pace::AsHandled).unwrap();
+    let emulator = Emulator::start(&image::path(name), converter, Pace::AsHandled).unwrap();
     let mut client = connect(&emulator);
     wait_for(&mut client, AdcState::Faulty(AdcFault::NotResponding));
     assert_eq!(client.status().unwrap().conversions, 0);

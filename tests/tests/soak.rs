@@ -1,7 +1,8 @@
 //! A sensor that runs for long: nothing drifts, and of every conversion it is known what became of it.
 //!
 //! `tests/soak` runs it for a simulated day in process, and for ten minutes in the emulator; `tests/run` for some minutes and some seconds.
-//! Both begin with counters, and in the emulator with a clock, that are about to begin at zero again.
+//! `tests/soak` has both begin with counters, and in the emulator with a clock, that are about to begin at zero again; of `tests/run`, the
+//! run in process does.
 #![cfg(unix)]
 
 use std::env;
