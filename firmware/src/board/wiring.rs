@@ -6,9 +6,9 @@
 //! |---|---|
 //! | host link, USART3 | TX: PB10 or PC10; RX: PB11 or PC11 |
 //! | converter's bus, SPI2 | SCK: PB13, or PB10; MISO: PB14 or PC2; MOSI: PB15 or PC3 |
-//! | chip select | any |
-//! | data-ready | numbers 5 to 9 of any port |
-//! | button, light | any, either way round |
+//! | chip select | any of ports A, B and C |
+//! | data-ready | numbers 5 to 9 of these ports |
+//! | button, light | any of these ports, either way round; both are needed |
 //!
 //! A pin that cannot do what it is given for does not compile.
 
