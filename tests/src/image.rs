@@ -1,15 +1,16 @@
 //! What an image takes of the chip.
 
 use std::fs;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
+use ftcal::flash::image::CHIP_FLASH;
 use object::elf::SHF_ALLOC;
 use object::read::elf::ElfFile32;
 use object::{Object, ObjectSection, SectionFlags};
 
-/// Addresses of the STM32F405: flash before what is kept in it, and RAM.
-const FLASH: std::ops::Range<u64> = 0x0800_0000..0x0808_0000;
-const RAM: std::ops::Range<u64> = 0x2000_0000..0x2002_0000;
+/// Addresses of the STM32F405's RAM.
+const RAM: Range<u64> = 0x2000_0000..0x2002_0000;
 
 /// What instructions and constants may take, bytes.
 pub const LARGEST_FLASH: u64 = 160 * 1024;
@@ -41,9 +42,9 @@ pub fn sizes(image: &Path) -> Sizes {
     let elf: ElfFile32 = ElfFile32::parse(&*bytes).expect("an image");
     let takes_memory =
         |flags| matches!(flags, SectionFlags::Elf { sh_flags } if sh_flags & u64::from(SHF_ALLOC) != 0);
-    let within = |range: std::ops::Range<u64>| {
+    let within = |range: Range<u64>| {
         let sections = elf.sections().filter(|section| takes_memory(section.flags()));
         sections.filter(|section| range.contains(&section.address())).map(|section| section.size()).sum()
     };
-    Sizes { flash: within(FLASH), ram: within(RAM) }
+    Sizes { flash: within(CHIP_FLASH), ram: within(RAM) }
 }

@@ -5,7 +5,7 @@
 #![cfg(unix)]
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use ftcal::simulator::bench::Bench;
 use ftcal::simulator::bus::SharedBench;
@@ -13,6 +13,7 @@ use ftcal::simulator::emulator::Emulator;
 use ftcal::simulator::scenario::{Scenario, ScenarioKind};
 use ftcal::simulator::tunnel::Pace;
 use ftcal_shared::wire::{Failure, ResetCause};
+use ftcal_tests::image;
 use ftcal_tests::patience::connect;
 use object::read::elf::ElfFile32;
 use object::{Object, ObjectSection, ObjectSymbol};
@@ -28,8 +29,7 @@ const ENDLESS_PUSH: [u8; 4] = [0xFF, 0xB4, 0xFD, 0xE7];
 
 /// The image with these instructions at the beginning of the function, in this file; where that is.
 fn write_image(instructions: &[u8], path: &Path) -> u32 {
-    let image = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../target/images/ftcal-emulated.elf");
-    let mut bytes = fs::read(image).unwrap();
+    let mut bytes = fs::read(image::path("ftcal-emulated.elf")).unwrap();
     let (address, offset) = {
         let elf = ElfFile32::<object::Endianness>::parse(&*bytes).unwrap();
         let mut found = elf.symbols().filter(|symbol| symbol.name().unwrap().contains(FUNCTION));

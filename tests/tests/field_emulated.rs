@@ -4,7 +4,7 @@
 //! does who stands before it, by a clock on the wall; so is the button pressed.
 #![cfg(unix)]
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -25,6 +25,7 @@ use ftcal_shared::units::{DataRate, Dof, Gain};
 use ftcal_shared::wire::{CalibrationOrigin, CalibrationUpload, FieldOutcome, FieldPhase, KeptCalibration};
 use nalgebra::Vector3;
 
+use ftcal_tests::image;
 use ftcal_tests::patience::{connect, patiently};
 use ftcal_tests::truth::{shape_error, true_calibration};
 
@@ -69,12 +70,17 @@ fn prepare(flash: &Path, sensor: &SoftwareSensor, calibration: &CalibrationUploa
 }
 
 fn emulate(flash: &Path, sensor: &SoftwareSensor) -> Emulator {
-    let image = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../target/images/ftcal-emulated.elf");
     let mut bench = Bench::new(sensor.clone(), 1);
     bench.hang(LOAD);
     bench.turn();
     let flash = SimulatedFlash::in_file(flash).unwrap();
-    Emulator::start_with_flash(&image, SharedBench::new(bench), flash, Pace::AsHandled).unwrap()
+    Emulator::start_with_flash(
+        &image::path("ftcal-emulated.elf"),
+        SharedBench::new(bench),
+        flash,
+        Pace::AsHandled,
+    )
+    .unwrap()
 }
 
 /// Connects to a board that has read its memory, and whose converter runs.

@@ -14,7 +14,7 @@
 
 use std::env;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -37,6 +37,7 @@ use ftcal_shared::wire::{
 };
 use rand::{Rng, RngExt};
 
+use ftcal_tests::image;
 use ftcal_tests::patience::{PATIENCE, connect, patiently};
 use ftcal_tests::random;
 
@@ -68,10 +69,6 @@ const LATEST_CUT: f64 = 1.5;
 const SHORT_TRIAL: u32 = 12;
 /// When the first checkpoint of a running trial begins.
 const FIRST_CHECKPOINT: Duration = Duration::from_secs(10);
-
-fn image() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../target/images/ftcal-emulated.elf")
-}
 
 /// A calibration that no other number gives.
 fn calibration(number: u32) -> CalibrationUpload {
@@ -193,7 +190,7 @@ impl TunnelledConverter for Silent {
 
 fn start(flash: &Path, converter: impl TunnelledConverter + Send + 'static) -> Emulator {
     let flash = SimulatedFlash::in_file(flash).unwrap().at_pace(FlashPace::Slow);
-    Emulator::start_with_flash(&image(), converter, flash, Pace::RealTime).unwrap()
+    Emulator::start_with_flash(&image::path("ftcal-emulated.elf"), converter, flash, Pace::RealTime).unwrap()
 }
 
 /// A load that is being turned, before a converter that announces but a few conversions: the emulator takes milliseconds for each.

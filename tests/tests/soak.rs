@@ -6,7 +6,6 @@
 #![cfg(unix)]
 
 use std::env;
-use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use ftcal::link::client::Client;
@@ -24,6 +23,7 @@ use ftcal_shared::units::{DataRate, Gain, SampleIndex};
 use ftcal_shared::wire::{Status, StreamKind};
 use nalgebra::{DMatrix, DVector, UnitVector3, Vector3};
 
+use ftcal_tests::image;
 use ftcal_tests::patience::connect;
 use ftcal_tests::truth::{true_calibration, true_matrix};
 
@@ -185,19 +185,18 @@ fn a_day_on_the_bench() {
 #[ignore = "needs the images and the emulator: tests/run provides both"]
 fn ten_minutes_in_the_emulator() {
     let is_whole = env::var_os(ALL_WANTED).is_some();
-    let (image, lasting) = if is_whole {
+    let (name, lasting) = if is_whole {
         ("ftcal-soak.elf", Duration::from_mins(10))
     } else {
         ("ftcal-emulated.elf", Duration::from_secs(15))
     };
-    let image = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../target/images").join(image);
     let scenario = Scenario::new(ScenarioKind::Wrist, 1).unwrap();
     let bench = SharedBench::new(Bench::new(scenario.sensor.clone(), 1));
     bench.with(|bench| {
         bench.hang(scenario.trials[0].load);
         bench.turn();
     });
-    let emulator = Emulator::start(&image, bench.clone(), Pace::RealTime).unwrap();
+    let emulator = Emulator::start(&image::path(name), bench.clone(), Pace::RealTime).unwrap();
     let mut client = connect(&emulator);
     client.configure_adc(RATE, Gain::X128).unwrap();
     client.upload_calibration(&true_calibration(&scenario.sensor)).unwrap();
