@@ -115,6 +115,7 @@ fn basis_of_white_codes<const GAGES: usize>(
     let factor = lower_factor(&noise.relative)?;
     let white = whitened(covariance, &factor);
     let mut outcome = basis_of_equal_channels(rank, white.as_ref()?, samples, noise);
+    // Changed where it stands: taken out, it would stand on the stack twice.
     let Ok(found) = outcome.as_mut() else { return Some(outcome) };
     let ratio = found.noise_variance? / at_rest;
     if !(1.0 / LARGEST_NOISE_EXCESS..=LARGEST_NOISE_EXCESS).contains(&ratio) {
@@ -145,12 +146,17 @@ fn colour<const GAGES: usize>(found: &mut Basis<GAGES>, factor: &SMatrix<f64, GA
     Some(())
 }
 
-/// All eigenvalues of the covariance, descending, none below zero: rounding may make one negative.
+/// All eigenvalues of the covariance, descending.
 #[inline(never)]
 fn eigenvalues_of<const GAGES: usize>(
     covariance: &SMatrix<f64, GAGES, GAGES>,
 ) -> Result<SVector<f64, GAGES>, Refusal> {
-    symmetric_eigen(covariance, GAGES).map(|eigen| eigen.values.map(|eigenvalue| eigenvalue.max(0.0)))
+    symmetric_eigen(covariance, GAGES).map(|eigen| not_negative(&eigen.values))
+}
+
+/// The covariance has no negative eigenvalue; rounding may give it one.
+fn not_negative<const GAGES: usize>(eigenvalues: &SVector<f64, GAGES>) -> SVector<f64, GAGES> {
+    eigenvalues.map(|eigenvalue| eigenvalue.max(0.0))
 }
 
 /// The covariance of L⁻¹z (p × p).
@@ -176,8 +182,7 @@ fn basis_of_equal_channels<const GAGES: usize>(
         return Err(Refusal::UnsupportedDimensions { gages: small(GAGES), rank: small(directions) });
     }
     let eigen = symmetric_eigen(covariance, GAGES)?;
-    // The covariance has no negative eigenvalue; rounding may give it one.
-    let eigenvalues = eigen.values.map(|eigenvalue| eigenvalue.max(0.0));
+    let eigenvalues = not_negative(&eigen.values);
 
     let floor = (eigenvalues[0] * LEAST_RELATIVE_EIGENVALUE).max(noise.rounding);
     let spanned = eigenvalues.iter().take_while(|&&eigenvalue| eigenvalue > floor).count();

@@ -268,7 +268,7 @@ fn answer<const GAGES: usize>(
     disturbances: Disturbances,
     accepted: f64,
 ) -> Result<QuietSolution<GAGES>, Refusal> {
-    // By reference, as above.
+    // By reference, as above; and written out once more, since a function that both share would have the solution on the stack twice.
     let fitted = fit(subspace, all, quiet, accepted);
     let found = fitted.as_ref().map_err(|refusal| *refusal)?;
     let predicted = uncertainty(subspace, found, disturbances, accepted);
